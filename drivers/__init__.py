@@ -1,0 +1,1 @@
+"""Drivers of real hardware, each behind a port of `controller.ports`."""
