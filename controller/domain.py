@@ -473,3 +473,35 @@ class Outcome:
     attempts: int
     started_at: float
     finished_at: float
+
+
+# --- truth, which only a simulated world can tell ---------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class TruePart:
+    """What a simulated world knows about one part; never an input of the controller.
+
+    Attributes:
+        part_id: Index within the world.
+        shape: What it is.
+        colour: Name of its colour.
+        center: (x, y) of its footprint's centroid in `table` (the frame of the sheet as it was laid), mm.
+        yaw: As for `LocatedObject.yaw`; None for a circle.
+        size: (long, short) side of the footprint's minimum-area rectangle, mm.
+        height: mm.
+        upright: It stands on the face it was laid on.
+        place: `table`, `gripper`, `floor`, or the name of the bin it lies in.
+        reachable: It lay within the arm's reach at the start.
+    """
+
+    part_id: int
+    shape: Shape
+    colour: str
+    center: Point
+    yaw: float | None
+    size: tuple[float, float]
+    height: float
+    upright: bool
+    place: str
+    reachable: bool

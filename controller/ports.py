@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from controller.domain import (
     ArmDescription,
     ArmState,
@@ -201,4 +204,30 @@ class ByteStream(Protocol):
         Raises:
             BusError: code `lost`.
         """
+        ...
+
+
+@runtime_checkable
+class Presenter(Protocol):
+    """A pair of hands that shows printed calibration boards to the camera: a person, or the simulated world."""
+
+    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
+        """Hold a stiff print before the camera, roughly at the wanted pose, until told otherwise.
+
+        Args:
+            print_: ndarray of shape (H, W), dtype uint8: the printed picture, first row at the top.
+            pixel_mm: Size of one of its pixels on paper, mm.
+            T_camera_board: ndarray of shape (4, 4), maps the board (origin in the middle of the print,
+                x to its right, y to its bottom, z away from the reader, mm) into `camera`.
+        """
+        ...
+
+    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
+        """Lay a print on the table at the mark that defines `table`: origin in the middle of the print,
+        x to its right, y to its top, z up.
+        """
+        ...
+
+    def remove(self) -> None:
+        """Take the print away."""
         ...
