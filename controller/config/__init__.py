@@ -1,0 +1,1 @@
+"""Configuration: TOML files into frozen, strict models; anything unknown, mistyped or out of range is refused."""
