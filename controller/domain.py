@@ -351,7 +351,7 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """s from the first sample to the last."""
+        """Seconds from the first sample to the last."""
         return (len(self.positions) - 1) * self.period
 
 
