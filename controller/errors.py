@@ -42,6 +42,10 @@ class InputError(SorterError):
     """A file, folder or picture the user named cannot be read or makes no sense."""
 
 
+class LedgerError(SorterError):
+    """The durable record cannot be read or written (disk full, read-only, damaged, too new): nothing may move."""
+
+
 class CalibrationError(SorterError):
     """A calibration is missing, out of date or too poor to be trusted with motion."""
 
@@ -84,6 +88,10 @@ class FrameStale(CameraError):
 
 class CameraLost(CameraError):
     """The camera is gone: unplugged, or it cannot be opened."""
+
+
+class CameraEnded(CameraLost):
+    """A replayed camera has shown its last picture: the end of the run, not a failure of a device."""
 
 
 class ArmError(DeviceError):
