@@ -208,6 +208,23 @@ class Bin:
 
 
 @dataclass(frozen=True, slots=True)
+class ServoDynamics:
+    """How the position loop of one joint answers a load; the defaults are an XM430-W350 at its factory P gain.
+
+    Attributes:
+        stiffness: Torque per angle between goal and position, Nm/rad, all servos of the joint together.
+        damping: Back-EMF, Nm s/rad.
+        friction: Coulomb friction, Nm.
+        inertia: Rotor inertia at the output, kg m^2.
+    """
+
+    stiffness: float = 18.9
+    damping: float = 0.85
+    friction: float = 0.08
+    inertia: float = 0.028
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """One revolute joint and the servo that turns it.
 
@@ -222,6 +239,7 @@ class Joint:
         speed_limit: rad/s, for planning.
         acceleration_limit: rad/s^2, for planning.
         shadow_id: Servo that mirrors this one, or None.
+        dynamics: Parameters of the offset that makes up for sag and lag.
     """
 
     name: str
@@ -234,6 +252,7 @@ class Joint:
     speed_limit: float
     acceleration_limit: float
     shadow_id: int | None = None
+    dynamics: ServoDynamics = ServoDynamics()
 
 
 @dataclass(frozen=True, slots=True)
