@@ -1,0 +1,144 @@
+"""One frame in, its objects out: the recipe decides how."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Descriptors, Detection, Frame, Shape
+from controller.geometry import PlaneMap, wrap
+from controller.vision.precise import Found, search
+from controller.vision.recipe import Recipe
+from controller.vision.timing import Stopwatch
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detected:
+    """What was found in one frame.
+
+    Attributes:
+        detections: The objects, top to bottom.
+        timing_ms: Time of each stage and in `total`, ms.
+    """
+
+    detections: tuple[Detection, ...]
+    timing_ms: Mapping[str, float]
+
+
+def detect(
+    frame: Frame,
+    recipe: Recipe,
+    *,
+    plane: PlaneMap | None = None,
+    background: NDArray[np.uint8] | None = None,
+    region: NDArray[np.uint8] | None = None,
+    trace: dict[str, NDArray[np.generic]] | None = None,
+) -> Detected:
+    """Objects in a frame; an empty table gives an empty tuple. Raises nothing on any picture.
+
+    Args:
+        frame: The frame.
+        recipe: What to do.
+        plane: The plane of the objects' top faces: shape and centre are decided there; in pixels when None.
+        background: ndarray of shape (H, W, 3), dtype uint8: the same view of the empty table.
+        region: ndarray of shape (H, W), dtype uint8: only objects whose centre lies where it is not 0 are returned.
+        trace: Receives the image after every stage by its name.
+    """
+    watch = Stopwatch()
+    image = frame.image
+    if min(image.shape[:2]) < 8:
+        return Detected((), watch.result())
+    found = search(
+        image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
+    )
+    detections = [_detection(frame, item) for item in found]
+    if region is not None:
+        detections = [item for item in detections if _inside(region, item.center_px)]
+    detections.sort(key=lambda item: (item.center_px[1], item.center_px[0]))
+    watch.lap("describe")
+    return Detected(tuple(detections), watch.result())
+
+
+def _inside(region: NDArray[np.uint8], center: tuple[float, float]) -> bool:
+    x, y = round(center[0]), round(center[1])
+    return 0 <= y < region.shape[0] and 0 <= x < region.shape[1] and bool(region[y, x])
+
+
+def _detection(frame: Frame, found: Found) -> Detection:
+    outline = counter_clockwise(found.outline)
+    points = outline.astype(np.float32)
+    covered = polygon_area(outline)
+    (_, (w, h), _) = cv2.minAreaRect(points)
+    size = (max(w, h), min(w, h))
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    if found.diameter is not None:
+        size = (found.diameter, found.diameter)
+        covered *= _circle_area_factor(len(outline))
+    sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
+    perimeter = float(sides.sum())
+    box = high - low
+    difference = 0.0 if found.shape is Shape.CIRCLE else float(abs(sides[0] - sides[1]))
+    return Detection(
+        frame=frame,
+        shape=found.shape,
+        score=found.score,
+        outline_px=outline,
+        center_px=(float(found.center[0]), float(found.center[1])),
+        size_px=(float(size[0]), float(size[1])),
+        angle=direction(found.shape, outline),
+        area_px=covered,
+        bbox_px=(float(low[0]), float(low[1]), float(box[0]), float(box[1])),
+        descriptors=Descriptors(
+            float(box[0] * box[1]) / max(covered, 1e-9), perimeter**2 / (4.0 * math.pi * max(covered, 1e-9)), difference
+        ),
+        label=str(found.shape),
+        flags=found.flags,
+    )
+
+
+def counter_clockwise(outline: Floats) -> Floats:
+    """The outline's points in counter-clockwise order as displayed (y down)."""
+    x, y = outline[:, 0], outline[:, 1]
+    doubled = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    return np.ascontiguousarray(outline[::-1] if doubled > 0.0 else outline)
+
+
+def polygon_area(outline: Floats) -> float:
+    """Area of a simple polygon of shape (N, 2)."""
+    x, y = outline[:, 0], outline[:, 1]
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+
+
+def _circle_area_factor(corners: int) -> float:
+    """Area of a circle over that of the regular polygon with corners on it."""
+    turn = 2.0 * math.pi / corners
+    return turn / math.sin(turn)
+
+
+def direction(shape: Shape, outline: Floats) -> float | None:
+    """Direction of an outline, rad, counter-clockwise as displayed, by the convention of its shape."""
+    period = shape.period
+    if period is None:
+        return None
+    if shape is Shape.OTHER:
+        (_, (w, h), turn) = cv2.minAreaRect(outline.astype(np.float32))
+        return wrap(-math.radians(turn + (0.0 if w >= h else 90.0)), period)
+    sides = np.roll(outline, -1, axis=0) - outline
+    lengths = np.linalg.norm(sides, axis=1)
+    angles = np.arctan2(-sides[:, 1], sides[:, 0])
+    if shape is Shape.RECTANGLE:
+        first = int(lengths[0] + lengths[2] < lengths[1] + lengths[3])
+        angles, lengths = angles[first::2], lengths[first::2]
+    elif shape is Shape.TRIANGLE and lengths.max() > 1.1 * lengths.min():
+        angles = angles[[int(lengths.argmax())]]
+        lengths = np.ones(1)
+    # The mean over the sides, each as long as it counts, modulo the period.
+    mean = np.angle(np.sum(lengths * np.exp(2j * math.pi * angles / period)))
+    return wrap(float(mean) * period / (2.0 * math.pi), period)

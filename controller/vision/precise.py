@@ -1,0 +1,306 @@
+"""The recipe `precise`: propose regions, find edges, fit shapes, refine the plausible ones, judge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from controller.geometry import PlaneMap
+from controller.vision.background import whiten
+from controller.vision.local_map import LocalMaps, local_maps
+from controller.vision.proposals import Region, propose, split_necks
+from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
+from controller.vision.recipe import Precise
+from controller.vision.refine import Refined, pixel_noise, refine
+from controller.vision.shapes import (
+    CIRCLE,
+    FAMILIES,
+    HEXAGON,
+    RECTANGLE,
+    TRIANGLE,
+    Family,
+    area,
+    edge_residuals,
+    fit_edges,
+    from_polygon,
+    vertices,
+)
+from controller.vision.timing import Stopwatch
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """One judged outline, in pixels of the frame.
+
+    Attributes:
+        shape: Verdict.
+        score: Confidence in [0, 1].
+        outline: ndarray of shape (N, 2), px.
+        center: (2,), px.
+        diameter: A circle's diameter, px; None for anything else.
+        flags: As for `Detection`.
+    """
+
+    shape: Shape
+    score: float
+    outline: Floats
+    center: Floats
+    diameter: float | None
+    flags: frozenset[str]
+
+
+def search(
+    image: NDArray[np.uint8],
+    settings: Precise,
+    *,
+    plane: PlaneMap | None = None,
+    background: NDArray[np.uint8] | None = None,
+    region: NDArray[np.uint8] | None = None,
+    trace: dict[str, NDArray[np.generic]] | None = None,
+    watch: Stopwatch,
+) -> list[Found]:
+    """Objects in an image; see `detect` for the arguments."""
+    factor = reduction(image.shape)
+    small = _small(image, factor)
+    empty = None if background is None else _small(background, factor)
+    mask = None
+    if region is not None:
+        mask = cv2.resize(region, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    watch.lap("reduce")
+    white = whiten(small, np.asarray(mask) if mask is not None else None, empty)
+    watch.lap("background")
+    smallest = 0.5 * (settings.smallest_px / factor) ** 2
+    regions, maps_ = propose(white, settings.level, smallest)
+    if trace is not None:
+        trace.update(maps_)
+    pieces = [piece for item in regions if item.cue != "edge" for piece in split_necks(item, smallest)]
+    regions = _distinct(regions + pieces, small.shape)
+    watch.lap("propose")
+    if not regions:
+        return []
+    centers = np.array([_center(item.contour) for item in regions])
+    radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+    extent = radii.max(axis=1)
+    edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
+    watch.lap("rays")
+    full = centers * factor + (factor - 1) / 2.0
+    maps = local_maps(full, (extent + 6.0) * factor * 1.3, plane)
+    count, rays, choices = weight.shape
+    flat = edges.reshape(count, rays * choices, 2) * factor + (factor - 1) / 2.0
+    local = maps.all_to_local(flat).reshape(count, rays, choices, 2)
+    hulls = [
+        maps.to_local(i, cv2.convexHull(item.contour)[:, 0].astype(np.float64) * factor + (factor - 1) / 2.0)
+        for i, item in enumerate(regions)
+    ]
+    fits = _fit_all(hulls, local, weight, factor)
+    watch.lap("fit")
+    noise = pixel_noise(image)
+    found = _judge(image, settings, regions, fits, maps, noise, factor)
+    watch.lap("refine")
+    return found
+
+
+def reduction(shape: tuple[int, ...]) -> int:
+    """How many times smaller the searched image is: small objects need every pixel of a small frame."""
+    pixels = shape[0] * shape[1]
+    return 1 if pixels < 500_000 else 2 if pixels < 16_000_000 else 4
+
+
+def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
+    clean = cv2.medianBlur(image, 3) if min(image.shape[:2]) >= 3 else image
+    if factor > 1:
+        size = (image.shape[1] // factor, image.shape[0] // factor)
+        clean = cv2.resize(clean[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), 1.0), np.float32)
+
+
+def _center(contour: NDArray[np.float32]) -> Floats:
+    m = cv2.moments(cv2.convexHull(contour))
+    if m["m00"] < 1e-6:
+        return np.asarray(contour.mean(axis=0), np.float64)
+    return np.array([m["m10"] / m["m00"], m["m01"] / m["m00"]])
+
+
+def _distinct(regions: list[Region], shape: tuple[int, ...]) -> list[Region]:
+    """Regions without near copies of one another, and without those that fill most of the frame."""
+    kept: list[Region] = []
+    seen: list[tuple[float, float, float, float]] = []
+    limit = 0.5 * shape[0] * shape[1]
+    for item in regions:
+        x, y, w, h = cv2.boundingRect(item.contour)
+        if w * h > limit:
+            continue
+        box = (float(x), float(y), float(x + w), float(y + h))
+        tolerance = 0.06 * max(w, h) + 0.5
+        if any(max(abs(a - b) for a, b in zip(box, other, strict=True)) < tolerance for other in seen):
+            continue
+        seen.append(box)
+        kept.append(item)
+    return kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hypothesis:
+    region: int
+    family: Family
+    q: Floats
+    cost: float
+    inliers: float
+    size: float
+
+
+def _fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> list[list[_Hypothesis]]:
+    """For every region, its fits to all families, best first."""
+    starts = {family.shape: [] for family in FAMILIES.values()}
+    for hull in hulls:
+        for family, q in _starts(hull).items():
+            starts[family].append(q)
+    relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
+    relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0)
+    out: list[list[_Hypothesis]] = [[] for _ in hulls]
+    for family in FAMILIES.values():
+        q = np.array(starts[family.shape])
+        size = np.sqrt(np.maximum(area(family, q), 1.0))
+        scale = np.maximum(0.5 * factor, 0.008 * size)
+        q = fit_edges(family, q, edges, relative, scale)
+        distance, strength = edge_residuals(family, q, edges, relative)
+        size = np.sqrt(np.maximum(area(family, q), 1.0))
+        tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
+        near = np.abs(distance) < tolerance
+        valid = strength > 0.15
+        inliers = np.mean(near & valid, axis=1)
+        clipped = np.where(valid, np.minimum(np.abs(distance), tolerance), tolerance)
+        cost = np.sqrt(np.mean(clipped**2, axis=1)) / tolerance[:, 0]
+        for i in range(len(hulls)):
+            if np.isfinite(q[i]).all():
+                out[i].append(_Hypothesis(i, family, q[i], float(cost[i]), float(inliers[i]), float(size[i])))
+    for hypotheses in out:
+        hypotheses.sort(key=lambda h: h.cost)
+    return out
+
+
+def _starts(hull: Floats) -> dict[Shape, Floats]:
+    """Rough parameters of every family for one convex outline."""
+    points = hull.astype(np.float32)
+    (cx, cy), (w, h), turn = cv2.minAreaRect(points)
+    m = cv2.moments(points)
+    covered = max(m["m00"], 1.0)
+    center = np.array([m["m10"], m["m01"]]) / m["m00"] if m["m00"] > 1e-6 else hull.mean(axis=0)
+    rectangle = np.array([cx, cy, max(w, 1.0) / 2, max(h, 1.0) / 2, math.radians(turn)])
+    circle = np.array([*center, math.sqrt(covered / math.pi)])
+    # The sixth harmonic of the support function points at the sides' normals.
+    reach = (hull - center) @ DIRECTIONS.T
+    support = reach.max(axis=0)
+    turns = np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0])
+    phase = np.angle(np.sum(support * np.exp(6j * turns)))
+    hexagon = np.array([*center, math.sqrt(covered / (2.0 * math.sqrt(3.0))), phase / 6.0 + math.pi / 6.0])
+    # Three far corners of the hull: the farthest from the centre, from that, and from the line between both.
+    first = hull[np.argmax(np.sum((hull - center) ** 2, axis=1))]
+    second = hull[np.argmax(np.sum((hull - first) ** 2, axis=1))]
+    along = second - first
+    third = hull[np.argmax(np.abs((hull[:, 0] - first[0]) * along[1] - (hull[:, 1] - first[1]) * along[0]))]
+    triangle = from_polygon(np.stack([first, second, third]))
+    return {CIRCLE.shape: circle, HEXAGON.shape: hexagon, RECTANGLE.shape: rectangle, TRIANGLE.shape: triangle}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    hypothesis: _Hypothesis
+    refined: Refined
+    badness: float
+    outline: Floats
+
+
+def _judge(
+    image: NDArray[np.uint8],
+    settings: Precise,
+    regions: list[Region],
+    fits: list[list[_Hypothesis]],
+    maps: LocalMaps,
+    noise: Floats,
+    factor: int,
+) -> list[Found]:
+    ranked = sorted((h for options in fits for h in options[:2] if h.inliers > 0.6), key=lambda h: h.cost)
+    best_cost = [options[0].cost if options else 1.0 for options in fits]
+    judged: list[_Judged] = []
+    tried: list[tuple[Shape, float, float, float]] = []
+    blur = 1.0
+    blurs: list[float] = []
+    for h in ranked:
+        if h.cost > 1.8 * best_cost[h.region] + 0.05:
+            continue
+        center = maps.centers[h.region] + h.q[:2]
+        close = 0.08 * h.size + 0.5
+        if any(
+            s is h.family.shape and abs(x - center[0]) + abs(y - center[1]) < close and abs(z / h.size - 1) < 0.08
+            for s, x, y, z in tried
+        ):
+            continue
+        tried.append((h.family.shape, center[0], center[1], h.size))
+        refined = refine(image, noise, h.family, h.q, maps, h.region, blur)
+        if refined is None:
+            continue
+        size = math.sqrt(float(area(h.family, refined.q[None])[0]))
+        allowed = settings.misfit_px + settings.misfit_share * size
+        if refined.visible < settings.visible or refined.levels < settings.minimum_contrast or refined.contrast < 1.0:
+            continue
+        outline = maps.to_pixels(h.region, vertices(h.family, refined.q))
+        judged.append(_Judged(h, refined, refined.misfit / allowed, outline))
+        if refined.misfit < allowed:
+            blurs.append(refined.blur)
+            blur = float(np.median(blurs))
+    return _select(judged, settings, regions, maps, image.shape)
+
+
+def _select(
+    judged: list[_Judged], settings: Precise, regions: list[Region], maps: LocalMaps, shape: tuple[int, ...]
+) -> list[Found]:
+    """The best of what overlaps."""
+    accepted: list[_Judged] = []
+    found: list[Found] = []
+    for item in sorted(judged, key=lambda j: max(j.badness, 0.5) + 2.0 * (1.0 - j.refined.visible)):
+        if item.badness > 1.0:
+            continue
+        if any(_overlap(item.outline, other.outline) > 0.15 for other in accepted):
+            continue
+        accepted.append(item)
+        found.append(_found(item, settings, maps, shape))
+    return found
+
+
+def _overlap(a: Floats, b: Floats) -> float:
+    """Area shared by two convex outlines over the smaller one's."""
+    if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
+        return 0.0
+    pa, pb = a.astype(np.float32), b.astype(np.float32)
+    common, _ = cv2.intersectConvexConvex(pa, pb)
+    return float(common) / max(1.0, min(abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))))
+
+
+def _found(item: _Judged, settings: Precise, maps: LocalMaps, shape: tuple[int, ...]) -> Found:
+    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
+    verdict = family.shape
+    diameter = None
+    if family is RECTANGLE and max(q[2], q[3]) / min(q[2], q[3]) < settings.square_aspect:
+        verdict = Shape.SQUARE
+    center = q[:2]
+    if family is TRIANGLE:
+        center = vertices(family, q).mean(axis=0)
+    center_px = maps.to_pixels(k, center[None])[0]
+    if family is CIRCLE:
+        diameter = 2.0 * math.sqrt(abs(cv2.contourArea(item.outline.astype(np.float32))) / math.pi)
+        if maps.plane is None:
+            diameter = 2.0 * float(q[2])
+    score = float(np.clip(1.0 - 0.35 * item.badness**2, 0.0, 1.0) * min(1.0, item.refined.visible / 0.95))
+    flags = set()
+    low, high = item.outline.min(axis=0), item.outline.max(axis=0)
+    if (low < 0.0).any() or high[0] > shape[1] - 1 or high[1] > shape[0] - 1:
+        flags.add("cut_by_border")
+    return Found(verdict, score, item.outline, center_px, diameter, frozenset(flags))

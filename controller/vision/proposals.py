@@ -1,0 +1,158 @@
+"""Where objects may be: regions that differ from the table by level, by chroma, or by their edges.
+
+Every cue overlooks something (a shadow has no chroma, a neutral object of low contrast hardly a level, a large
+soft one no edges), so that their regions are all proposed and the fit decides between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.vision.background import Whitened
+
+Floats32 = NDArray[np.float32]
+Mask = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """One proposed region.
+
+    Attributes:
+        contour: ndarray of shape (N, 2), dtype float32, its outer boundary in pixels of the searched image.
+        area: Its area there.
+        cue: `level`, `chroma`, `edge` or `split`.
+        convex: The region's area over its hull's.
+    """
+
+    contour: Floats32
+    area: float
+    cue: str
+    convex: float
+
+
+def propose(white: Whitened, level: float, smallest: float) -> tuple[list[Region], dict[str, NDArray[np.float32]]]:
+    """Regions worth a closer look, and the strength maps they came from.
+
+    Args:
+        white: The whitened frame.
+        level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
+        smallest: Smallest area, px of the searched image.
+    """
+    strength = np.sqrt(cv2.transform(white.difference**2, np.ones((1, 3), np.float32)))
+    chroma = _chroma(white)
+    edges = _edge_energy(white.difference)
+    regions: list[Region] = []
+    for cue, image in (("level", strength), ("chroma", chroma)):
+        regions += _components(image, level, smallest, cue)
+    regions += _edge_regions(edges, smallest)
+    return regions, {"strength": strength, "chroma": chroma, "edges": edges}
+
+
+def _chroma(white: Whitened) -> Floats32:
+    """Strength of the colour difference that no shadow can make.
+
+    A shadow scales the table's colour, that is, it moves a pixel along that colour; what is perpendicular to it,
+    in whitened units, must be an object.
+    """
+    along = white.whitener @ white.table_colour
+    along /= max(float(np.linalg.norm(along)), 1e-9)
+    across = np.linalg.svd(along[None])[2][1:]
+    return np.asarray(np.linalg.norm(cv2.transform(white.difference, across.astype(np.float32)), axis=2), np.float32)
+
+
+def _edge_energy(difference: Floats32) -> Floats32:
+    """Magnitude of the whitened gradient over all channels."""
+    dx = cv2.Sobel(difference, cv2.CV_32F, 1, 0, ksize=3)
+    dy = cv2.Sobel(difference, cv2.CV_32F, 0, 1, ksize=3)
+    return np.asarray(np.sqrt(cv2.transform(dx * dx + dy * dy, np.ones((1, 3), np.float32))), np.float32)
+
+
+def _components(image: Floats32, level: float, smallest: float, cue: str) -> list[Region]:
+    """Regions above `level`, and within each the one above half of its own strength."""
+    mask = (image > level).astype(np.uint8)
+    count, labels = cv2.connectedComponents(mask, connectivity=4, ltype=cv2.CV_16U)
+    if count <= 1:
+        return []
+    flat = labels.ravel()
+    inside = np.flatnonzero(flat)
+    values = image.ravel()[inside]
+    names = flat[inside]
+    squares = np.bincount(names, values**2, count)
+    own = np.bincount(names, values**3, count) / np.maximum(squares, 1e-9)
+    half = np.where(np.bincount(names, minlength=count) >= smallest, 0.5 * own, np.inf).astype(np.float32)
+    half[0] = np.inf
+    core = ((image > half[labels]) & (mask > 0)).astype(np.uint8)
+    return _contours(core, smallest, cue) + _contours(mask, smallest, cue)
+
+
+def _edge_regions(edges: Floats32, smallest: float) -> list[Region]:
+    """Hulls of connected strong edges."""
+    typical = float(np.median(edges[::3, ::3]))
+    mask = (edges > 3.5 * typical).astype(np.uint8)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
+    found = []
+    for region in _contours(mask, smallest, "edge"):
+        hull = cv2.convexHull(region.contour)[:, 0]
+        area = float(cv2.contourArea(hull))
+        found.append(Region(hull, area, "edge", 1.0))
+    return found
+
+
+def _contours(mask: Mask, smallest: float, cue: str) -> list[Region]:
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    out = []
+    for contour in contours:
+        if len(contour) < 8:
+            continue
+        points = contour[:, 0].astype(np.float32)
+        # The polygon through pixel centres misses half a pixel all around.
+        area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
+        if area < smallest:
+            continue
+        hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
+        out.append(Region(points, area, cue, min(1.0, area / hull)))
+    return out
+
+
+def split_necks(region: Region, smallest: float, depth: int = 2) -> list[Region]:
+    """Pieces of a region that seems to be several touching objects, cut at its necks; empty when it has none.
+
+    A neck joins two concave points of the contour by a chord that is short against both ways around.
+    """
+    if region.convex > 0.96 or depth == 0 or len(region.contour) < 16:
+        return []
+    contour = region.contour.astype(np.int32)[:, None]
+    hull = cv2.convexHull(contour, returnPoints=False)
+    if len(hull) < 4:
+        return []
+    hull = np.sort(hull, axis=0)[::-1]
+    defects = cv2.convexityDefects(contour, hull)
+    if defects is None:
+        return []
+    size = np.sqrt(region.area)
+    points = [int(d[2]) for d in defects[:, 0] if d[3] / 256.0 > max(1.2, 0.03 * size)]
+    pieces: list[Region] = []
+    cuts = []
+    n = len(contour)
+    for a in range(len(points)):
+        for b in range(a + 1, len(points)):
+            i, j = sorted((points[a], points[b]))
+            around = min(j - i, n - (j - i))
+            chord = float(np.linalg.norm(region.contour[i] - region.contour[j]))
+            if around > 6 and chord < 0.6 * around:
+                cuts.append((chord / around, i, j))
+    for _, i, j in sorted(cuts)[:2]:
+        for part in (region.contour[i : j + 1], np.concatenate([region.contour[j:], region.contour[: i + 1]])):
+            area = float(cv2.contourArea(part)) + 0.5 * len(part) + 1.0
+            if area < smallest:
+                continue
+            hull_area = float(cv2.contourArea(cv2.convexHull(part))) + 0.5 * len(part) + 1.0
+            piece = Region(np.ascontiguousarray(part), area, "split", min(1.0, area / hull_area))
+            pieces.append(piece)
+            pieces += split_necks(piece, smallest, depth - 1)
+    return pieces

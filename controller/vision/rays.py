@@ -1,0 +1,86 @@
+"""Edges along rays from inside a region: a few sub-pixel candidates on each, for all regions at once."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+RAYS = 64
+SAMPLES = 28
+CHOICES = 3
+
+
+def radial_profile(contour: Floats32, center: Floats) -> Floats:
+    """Radius (RAYS,) of the contour's hull seen from a point inside, at equal angles."""
+    hull = cv2.convexHull(contour)[:, 0].astype(np.float64) - center
+    nxt = np.roll(hull, -1, axis=0)
+    edge = nxt - hull
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    reach = np.sum(normal * hull, axis=1)
+    normal = np.where(reach[:, None] < 0.0, -normal, normal)
+    reach = np.abs(reach)
+    along = normal @ DIRECTIONS.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        hit = np.where(along > 1e-9, reach[:, None] / along, np.inf)
+    return np.asarray(hit.min(axis=0))
+
+
+_TURNS = np.arange(RAYS) * 2.0 * math.pi / RAYS
+DIRECTIONS: Floats = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
+
+
+def find_edges(image: Floats32, centers: Floats, radii: Floats, window: Floats) -> tuple[Floats, Floats]:
+    """The strongest edges on each ray.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype float32, whitened.
+        centers: ndarray of shape (K, 2).
+        radii: ndarray of shape (K, RAYS): where the edge is expected.
+        window: ndarray of shape (K,): how far to either side to look, px.
+
+    Returns:
+        edges (K, RAYS, CHOICES, 2) and their strengths (K, RAYS, CHOICES), in whitened units; 0 where there is none.
+    """
+    step = 2.0 * window / (SAMPLES - 1)
+    start = np.maximum(radii - window[:, None], 0.15 * radii)
+    t = start[..., None] + step[:, None, None] * np.arange(SAMPLES)
+    x = centers[:, None, None, 0] + t * DIRECTIONS[:, 0, None]
+    y = centers[:, None, None, 1] + t * DIRECTIONS[:, 1, None]
+    count = len(centers)
+    rows = (count * RAYS, SAMPLES)
+    values = cv2.remap(
+        image,
+        x.reshape(rows).astype(np.float32),
+        y.reshape(rows).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).reshape(count, RAYS, SAMPLES, 3)
+    slope = values[:, :, 2:] - values[:, :, :-2]
+    slope[:, :, 1:-1] = 0.5 * slope[:, :, 1:-1] + 0.25 * (slope[:, :, 2:] + slope[:, :, :-2])
+    strength = np.sqrt(np.einsum("krsc,krsc->krs", slope, slope))
+    return _peaks(strength, t, centers)
+
+
+def _peaks(strength: Floats32, t: Floats, centers: Floats) -> tuple[Floats, Floats]:
+    """The CHOICES highest local maxima of every ray, refined by a parabola."""
+    middle = strength[:, :, 1:-1]
+    low, high = strength[:, :, :-2], strength[:, :, 2:]
+    is_peak = (middle > low) & (middle >= high)
+    score = np.where(is_peak, middle, 0.0)
+    order = np.argpartition(-score, CHOICES - 1, axis=2)[:, :, :CHOICES]
+    k, r = np.indices(order.shape[:2], sparse=True)
+    k, r = k[..., None], r[..., None]
+    weight = score[k, r, order]
+    a, b, c = low[k, r, order], middle[k, r, order], high[k, r, order]
+    bend = a - 2.0 * b + c
+    shift = np.where(bend < -1e-9, 0.5 * (a - c) / np.where(bend < -1e-9, bend, -1.0), 0.0)
+    step = t[:, :, 1] - t[:, :, 0]
+    at = t[:, :, 0][..., None] + (order + 2 + np.clip(shift, -0.5, 0.5)) * step[..., None]
+    edges = centers[:, None, None] + at[..., None] * DIRECTIONS[None, :, None]
+    return edges, np.asarray(weight, np.float64)
