@@ -1,0 +1,112 @@
+"""The simulated bus as a serial port in the same process, on simulated time."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from controller.errors import BusError
+from sim_backends.virtual_dynamixel.bus import BAUD_RATES, VirtualBus
+
+_UNPLUGGED = "check the USB cable and the adapter"
+
+
+class BusStream:
+    """A `ByteStream` whose reads let simulated time pass until bytes arrive. For one thread.
+
+    Args:
+        bus: The bus behind it.
+        name: For messages.
+    """
+
+    def __init__(self, bus: VirtualBus, name: str = "sim-bus") -> None:
+        self._bus = bus
+        self._plant = bus.plant
+        self._name = name
+        self._open = False
+        self._coming: deque[tuple[float, bytes]] = deque()
+        self._arrived = b""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self._name
+
+    def open(self, baud: int) -> None:
+        """Set the host's bit rate.
+
+        Raises:
+            BusError: code `lost` (unplugged), `busy` (opened before) or `refused` (no such bit rate).
+        """
+        if not self._bus.connected:
+            raise BusError(self._name, "open", "lost", "the adapter is unplugged", _UNPLUGGED)
+        if self._open:
+            raise BusError(self._name, "open", "busy", "the port is open already", "close it first")
+        if baud not in BAUD_RATES:
+            raise BusError(self._name, "open", "refused", f"{baud} bit/s is not possible", f"use one of {BAUD_RATES}")
+        self._bus.host_baud = baud
+        self._open = True
+        self._forget()
+
+    def close(self) -> None:
+        """Forget what is under way; harmless when not open."""
+        self._open = False
+        self._forget()
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes over to the adapter; takes no time.
+
+        Raises:
+            BusError: code `lost`.
+        """
+        self._check("write")
+        replies = self._bus.handle(data, self._plant.now())
+        if replies:
+            self._coming.extend(replies)
+            if any(late > early for (late, _), (early, _) in zip(self._coming, list(self._coming)[1:], strict=False)):
+                self._coming = deque(sorted(self._coming, key=lambda reply: reply[0]))
+
+    def read(self, size: int, timeout: float) -> bytes:
+        """Up to `size` bytes as soon as any have arrived; lets up to `timeout` s of simulated time pass.
+
+        Raises:
+            BusError: code `lost`.
+        """
+        self._check("read")
+        now = self._plant.now()
+        self._take(now)
+        if not self._arrived:
+            arrival = self._coming[0][0] if self._coming else float("inf")
+            if arrival <= now + timeout:
+                self._plant.advance(arrival - now)
+                self._take(arrival)
+            elif timeout > 0.0:
+                self._plant.advance(timeout)
+                self._check("read")
+                return b""
+        data, self._arrived = self._arrived[:size], self._arrived[size:]
+        return data
+
+    def discard_input(self) -> None:
+        """Drop what has arrived by now; what is still on the wire will arrive.
+
+        Raises:
+            BusError: code `lost`.
+        """
+        self._check("discard input")
+        self._take(self._plant.now())
+        self._arrived = b""
+
+    def _take(self, now: float) -> None:
+        coming = self._coming
+        while coming and coming[0][0] <= now:
+            self._arrived += coming.popleft()[1]
+
+    def _forget(self) -> None:
+        self._coming.clear()
+        self._arrived = b""
+
+    def _check(self, operation: str) -> None:
+        if not self._bus.connected:
+            raise BusError(self._name, operation, "lost", "the adapter has been unplugged", _UNPLUGGED)
+        if not self._open:
+            raise BusError(self._name, operation, "lost", "the port is not open", "open it first")
