@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from controller.config.loader import StrictModel, load_toml
-from controller.domain import Array, Bin, Detection, LocatedObject, Shape
+from controller.domain import Array, Bin, Detection, Shape
 from controller.errors import ConfigError
 from controller.geometry import invert, pose, transform
 
@@ -37,9 +37,13 @@ class CameraSection(StrictModel):
     width: int = Field(1280, ge=160, le=8192)
     height: int = Field(720, ge=120, le=8192)
     frames_per_second: float = Field(30.0, gt=0.0, le=240.0)
+    field_of_view_deg: float = Field(65.0, ge=10.0, le=170.0)
+    """Horizontal field of view by the data sheet: only used before the camera is calibrated."""
+    height_mm: float = Field(600.0, ge=50.0, le=5000.0)
+    """Height of the lens above the table, by ruler: only used before the camera is calibrated."""
     frame_timeout_s: float = Field(2.0, gt=0.05, le=30.0)
     """How long to wait for a fresh frame before it is a fault."""
-    settings: dict[str, float] = {}
+    settings: dict[str, float] = Field(default_factory=dict)
     """V4L2 settings to lock and read back, e.g. exposure, gain, white_balance_temperature, focus."""
 
 
@@ -128,13 +132,13 @@ class RuleSection(StrictModel):
             raise ConfigError("size_mm is not [from, to] with from < to", "put the smaller size first")
         return self
 
-    def matches(self, target: LocatedObject) -> bool:
-        """Whether the rule speaks of this object."""
-        if self.shape is not None and target.shape is not self.shape:
+    def matches(self, shape: Shape, label: str, long_side: float) -> bool:
+        """Whether the rule speaks of an object of this shape, label and long side (mm)."""
+        if self.shape is not None and shape is not self.shape:
             return False
-        if self.label is not None and target.detection.label != self.label:
+        if self.label is not None and label != self.label:
             return False
-        return self.size_mm is None or self.size_mm[0] <= target.size[0] < self.size_mm[1]
+        return self.size_mm is None or self.size_mm[0] <= long_side < self.size_mm[1]
 
 
 class SortingSection(StrictModel):
@@ -152,6 +156,8 @@ class CycleSection(StrictModel):
     """How often one part is tried before it is left."""
     idle_look_s: float = Field(1.0, ge=0.05, le=600.0)
     """How often an empty table is looked at."""
+    picks_per_look: int = Field(1, ge=1, le=100)
+    """How many parts are picked from one picture before the next is taken."""
     vision_budget_s: float = Field(0.05, ge=0.0, le=5.0)
     planning_budget_s: float = Field(0.02, ge=0.0, le=5.0)
 
@@ -204,10 +210,10 @@ class CellConfig(StrictModel):
         """All bins."""
         return tuple(bin_.value() for bin_ in self.bins)
 
-    def bin_for(self, target: LocatedObject) -> str | None:
-        """Name of the bin an object belongs in, or None to let it lie."""
+    def bin_for(self, shape: Shape, label: str, long_side: float) -> str | None:
+        """Name of the bin for an object of this shape, label and long side (mm), or None to let it lie."""
         for rule in self.sorting.rules:
-            if rule.matches(target):
+            if rule.matches(shape, label, long_side):
                 return rule.bin
         return None if self.sorting.otherwise == "leave" else self.sorting.otherwise
 

@@ -1,0 +1,176 @@
+"""The composition root: the only module that knows which drivers and which simulated backends exist.
+
+Camera, arm and clock come as a set. A simulated set is asked for by name; nothing falls back to one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from controller.config.cell import CellConfig
+from controller.cycle.rig import Observer
+from controller.domain import ArmDescription, Array, PickPlan
+from controller.errors import InputError
+from controller.geometry import CameraModel
+from controller.insight.statistics import Truth
+from controller.ports import Arm, Camera, Clock, Presenter
+
+
+class Mode(StrEnum):
+    """Which set of devices a run works with."""
+
+    REAL = "real"
+    SIM = "sim"
+    REPLAY = "replay"
+
+
+class Level(StrEnum):
+    """How imperfect the simulated world is."""
+
+    IDEAL = "ideal"
+    STATIC = "static"
+    DYNAMIC = "dynamic"
+
+
+@dataclass(frozen=True, slots=True)
+class BackendOptions:
+    """What only some sets need.
+
+    Attributes:
+        out: Folder of the run.
+        replay: Folder of pictures to replay.
+        parts: Parts on the simulated table.
+        seed: Seed of the simulated world.
+        level: Imperfections of the simulated world.
+        real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
+    """
+
+    out: Path
+    replay: Path | None = None
+    parts: int = 8
+    seed: int = 0
+    level: Level = Level.DYNAMIC
+    real_time: bool = False
+
+
+@dataclass(slots=True)
+class Devices:
+    """A set of devices behind the ports.
+
+    Attributes:
+        presenter: Hands that show calibration boards, where somebody has them.
+        truth: The simulated world's truth, where there is one.
+        observers: Watchers a set needs for itself.
+        closers: Called in reverse order by `close`.
+    """
+
+    camera: Camera
+    arm: Arm
+    clock: Clock
+    presenter: Presenter | None = None
+    truth: Truth | None = None
+    observers: tuple[Observer, ...] = ()
+    closers: list[Callable[[], None]] = field(default_factory=list)
+
+    def open(self) -> None:
+        """Open camera and arm.
+
+        Raises:
+            DeviceError: One of them is not there or not in order.
+        """
+        self.camera.open()
+        self.closers.append(self.camera.close)
+        self.arm.open()
+        self.closers.append(self.arm.close)
+
+    def close(self) -> None:
+        """Release everything, last opened first."""
+        while self.closers:
+            self.closers.pop()()
+
+
+Factory = Callable[[CellConfig, ArmDescription, BackendOptions], Devices]
+
+
+def nominal_camera(config: CellConfig) -> tuple[CameraModel, Array]:
+    """Lens and pose by data sheet and ruler: straight above the table's origin, the picture's long side along
+    the table's y axis (its left edge towards +y). Good to some centimetres only.
+
+    Returns:
+        The lens; `T_table_camera`, shape (4, 4), mm.
+    """
+    width, height = config.camera.width, config.camera.height
+    focal = width / 2 / math.tan(math.radians(config.camera.field_of_view_deg) / 2)
+    matrix = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
+    looking_down = np.array([[0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    looking_down[2, 3] = config.camera.height_mm
+    return CameraModel(matrix, np.zeros(5), (width, height)), looking_down
+
+
+def real_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
+    """Webcam, servo bus and the machine's own clock."""
+    from drivers.arm.dynamixel import DynamixelArm
+    from drivers.camera.v4l2 import V4l2Camera
+
+    from drivers.arm.serial_stream import SerialStream
+    from drivers.clock import MonotonicClock
+
+    clock = MonotonicClock()
+    camera = V4l2Camera(
+        config.camera.device,
+        clock,
+        size=(config.camera.width, config.camera.height),
+        fps=config.camera.frames_per_second,
+        settings=config.camera.settings,
+    )
+    return Devices(camera, DynamixelArm(arm, SerialStream(config.arm.port), clock), clock)
+
+
+def replay_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
+    """Pictures from a folder, an arm that only writes down what it is told, and a clock that moves by itself."""
+    from sim_backends.recording_arm import CommandFile, RecordingArm
+    from sim_backends.replay_camera import ReplayCamera
+    from sim_backends.virtual_clock import VirtualClock
+
+    assert options.replay is not None
+    clock = VirtualClock()
+    imagined = _ImaginedPart()
+    moves = CommandFile(options.out / "moves.jsonl")
+    recorder = RecordingArm(arm, clock, on_command=moves, grip_model=imagined.grip)
+    camera = ReplayCamera(options.replay, clock)
+    return Devices(camera, recorder, clock, observers=(imagined,), closers=[moves.close])
+
+
+class _ImaginedPart(Observer):
+    """Replayed pictures hold no parts: this one is always where it was seen, as wide as it was measured."""
+
+    def __init__(self) -> None:
+        self._width = 0.0
+
+    def planned(self, plan: PickPlan) -> None:
+        """Remember how wide the part is that the jaws will close on."""
+        self._width = plan.grasp.width
+
+    def grip(self, before: float, wanted: float) -> tuple[bool, float]:
+        """Whether the jaws touch the part on their way, and where they settle (mm)."""
+        return (True, self._width) if wanted < self._width <= before else (False, wanted)
+
+
+def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
+    """The physics cell: the unmodified driver on virtual servos, painted pictures, simulated time."""
+    try:
+        from sim_backends.cell import CellSpec
+    except ImportError as error:
+        raise InputError(
+            f"the simulation cannot start: {error}", "install its extra: pip install 'sorting-controller[sim]'"
+        ) from error
+    raise NotImplementedError
+
+
+DEVICES: Mapping[Mode, Factory] = {Mode.REAL: real_devices, Mode.SIM: sim_devices, Mode.REPLAY: replay_devices}

@@ -1,0 +1,86 @@
+"""`controller config`: check, show and explain a cell's configuration."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from controller.backends import nominal_camera
+from controller.config.arm import load_arm
+from controller.config.cell import CellConfig, load_cell
+from controller.config.files import shipped
+from controller.cycle.preflight import check as preflight
+from controller.domain import CellCalibration
+from controller.motion.planner import Planner
+from controller.vision.recipe import load_recipe
+
+app = typer.Typer(help="Check, show and explain a cell's configuration.", no_args_is_help=True)
+
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file [default: the simulated cell].")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
+
+
+def default_config() -> Path:
+    """The configuration of the simulated cell, which ships with the program."""
+    return shipped("sim.toml")
+
+
+@app.command()
+def check(config: ConfigFile = None, as_json: AsJson = False) -> None:
+    """Check a configuration as a whole: keys, ranges, rules, the arm's reach to every bin.
+
+    Example: controller config check --config my-cell.toml
+    """
+    path = config or default_config()
+    cell = load_cell(path)
+    arm = load_arm(cell.arm.description)
+    load_recipe(cell.vision.recipe)
+    camera, T_table_camera = nominal_camera(cell)
+    by_ruler = CellCalibration("by ruler", camera, T_table_camera, cell.table.T_base_table())
+    warnings = preflight(cell, arm, Planner(arm, by_ruler, cell.bin_values()))
+    if as_json:
+        print(json.dumps({"config": str(path), "ok": True, "warnings": warnings, "digest": cell.digest}))
+        return
+    for warning in warnings:
+        print(f"warning: {warning}")
+    print(f"{path}: in order: {arm.title}, {len(cell.bins)} bins, {len(cell.sorting.rules)} rules")
+
+
+@app.command()
+def show(config: ConfigFile = None, as_json: AsJson = False) -> None:
+    """Show a configuration with every default filled in.
+
+    Example: controller config show --json
+    """
+    cell = load_cell(config or default_config())
+    if as_json:
+        print(cell.model_dump_json())
+        return
+    table = Table("key", "value", box=None, pad_edge=False)
+    for key, value in _flat(cell.model_dump(mode="json")):
+        table.add_row(key, json.dumps(value))
+    Console().print(table)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of the configuration, for editors that check TOML while you type.
+
+    Example: controller config schema > cell.schema.json
+    """
+    print(json.dumps(CellConfig.model_json_schema(), indent=1))
+
+
+def _flat(value: object, key: str = "") -> list[tuple[str, object]]:
+    if isinstance(value, dict):
+        return [row for name, part in value.items() for row in _flat(part, f"{key}.{name}" if key else name)]
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return [row for i, part in enumerate(value) for row in _flat(part, f"{key}[{i}]")]
+    return [(key, value)]

@@ -1,0 +1,83 @@
+"""Live progress of a run on stderr: one line that changes on a terminal, plain lines in a log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from types import TracebackType
+
+from rich.console import Console
+from rich.status import Status
+
+from controller.cycle.machine import State
+from controller.cycle.rig import Look, Observer
+from controller.domain import Outcome, PickPlan, Result
+from controller.errors import SorterError
+
+_DONE = (Result.PLACED, Result.REJECTED)
+
+
+class Progress(Observer):
+    """Says what the cell is doing; a context manager that owns the live line.
+
+    Args:
+        console: On stderr.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._status = Status("starting", console=console) if console.is_terminal else None
+        self._state = State.STOPPED
+        self._seen = 0
+        self._count: Counter[Result] = Counter()
+
+    def __enter__(self) -> Progress:
+        """Show the live line."""
+        if self._status is not None:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the live line away."""
+        if self._status is not None:
+            self._status.stop()
+
+    def say(self, line: str) -> None:
+        """One lasting line."""
+        self._console.print(line, highlight=False, markup=False)
+
+    def entered(self, state: State, at: float) -> None:
+        """Show the state."""
+        self._state = state
+        self._update(at)
+
+    def looked(self, look: Look) -> None:
+        """Show how many objects lie on the table."""
+        self._seen = len(look.located) + len(look.refused)
+
+    def attempted(self, plan: PickPlan, attempt: int) -> None:
+        """Say a retry."""
+        if attempt > 1:
+            self.say(f"  {self._name(plan)}: attempt {attempt}")
+
+    def concluded(self, outcome: Outcome) -> None:
+        """Say what became of a target."""
+        self._count[outcome.result] += 1
+        target = outcome.target
+        what = target.detection.label or str(target.shape)
+        where = f"{target.center[0]:6.1f} {target.center[1]:7.1f} mm"
+        self.say(f"{outcome.finished_at:7.1f} s  {what:<10} {where}  {outcome.result}: {outcome.reason}")
+
+    def faulted(self, error: SorterError, at: float) -> None:
+        """Say the fault."""
+        self.say(f"{at:7.1f} s  FAULT: {error}")
+
+    def _update(self, at: float) -> None:
+        if self._status is not None:
+            done = sum(self._count[result] for result in _DONE)
+            self._status.update(f"{at:6.1f} s  {self._state.value:<9} {done} placed, {self._seen} seen on the table")
+
+    @staticmethod
+    def _name(plan: PickPlan) -> str:
+        return f"{plan.target.detection.label or plan.target.shape} ({plan.target.target_id})"

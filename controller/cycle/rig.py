@@ -1,0 +1,69 @@
+"""What the cycle works with, put together once by the composition root."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from controller.config.cell import CellConfig
+from controller.cycle.machine import State
+from controller.domain import CellCalibration, Detection, Frame, LocatedObject, Outcome, PickPlan
+from controller.errors import SorterError
+from controller.motion.planner import Planner
+from controller.ports import Arm, Camera, Clock, Ledger
+from controller.vision.recipe import Recipe
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one frame showed.
+
+    Attributes:
+        frame: The frame.
+        detections: Everything vision found in the work area.
+        located: What of it is known in mm well enough to be picked, with target ids where they are known.
+        refused: What was seen but could not be located, and why.
+    """
+
+    frame: Frame
+    detections: tuple[Detection, ...]
+    located: tuple[LocatedObject, ...]
+    refused: tuple[tuple[Detection, str], ...] = ()
+
+
+class Observer:
+    """Someone who watches a run: progress on a terminal, pictures, statistics. Must not block."""
+
+    def entered(self, state: State, at: float) -> None:
+        """The machine entered a state at `at` (s of the cell's clock)."""
+
+    def looked(self, look: Look) -> None:
+        """A frame was worked out."""
+
+    def planned(self, plan: PickPlan) -> None:
+        """A plan was approved and is about to be carried out."""
+
+    def attempted(self, plan: PickPlan, attempt: int) -> None:
+        """Motion for a target began."""
+
+    def concluded(self, outcome: Outcome) -> None:
+        """A target got its outcome."""
+
+    def faulted(self, error: SorterError, at: float) -> None:
+        """The first fault latched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """Devices, knowledge and rules of one cell."""
+
+    config: CellConfig
+    camera: Camera
+    arm: Arm
+    clock: Clock
+    ledger: Ledger
+    calibration: CellCalibration
+    recipe: Recipe
+    planner: Planner
+    observers: tuple[Observer, ...] = ()
+    confirm: Callable[[PickPlan], bool] = field(default=lambda plan: True)

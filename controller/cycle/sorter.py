@@ -1,0 +1,392 @@
+"""The sorting cycle at work: one handler a state, each returns the trigger of the next transition.
+
+Reading order is the walk of the data: capture, detect, localize, pick, place. Motion happens only between
+`started` and `stopped`; every target tried gets exactly one outcome, whatever happens on the way.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.cycle import proof
+from controller.cycle.machine import CellMachine, State
+from controller.cycle.rig import Look, Rig
+from controller.cycle.targets import Target, TargetBook
+from controller.cycle.view import region_mask
+from controller.domain import Bin, Frame, LocatedObject, MoveReport, Outcome, PickPlan, Point, Result, Trajectory
+from controller.errors import CameraEnded, CameraError, LedgerError, PlanError, SorterError
+from controller.localization.locate import locate
+from controller.vision.detect import Detected, detect
+
+_CAMERA_RETRIES = 5
+"""With the back-off below, a camera may be away for about half a minute before it is a fault."""
+
+_DROP_SPREAD = 0.18
+"""Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
+
+
+class _Interrupted(Exception):
+    """A move was ended by a stop request."""
+
+
+class Sorter:
+    """Runs the cycle on a rig until it is stopped, faulted, or (when asked) nothing is left to pick.
+
+    Args:
+        rig: The cell.
+        until_empty: Stop when the table is empty or nothing on it can be picked.
+        most_parts: Stop after so many parts were dealt with; None for no limit.
+    """
+
+    def __init__(self, rig: Rig, *, until_empty: bool = False, most_parts: int | None = None) -> None:
+        self.rig = rig
+        self.machine = CellMachine()
+        self.fault: SorterError | None = None
+        self.left: tuple[LocatedObject, ...] = ()
+        self.cycle_times: list[float] = []
+        self._until_empty = until_empty
+        self._most_parts = most_parts
+        self._book = TargetBook()
+        self._filled: Counter[str] = Counter()
+        self._concluded = 0
+        self._stop = threading.Event()
+        self._pause = threading.Event()
+        self._holding: Target | None = None
+        self._frame: Frame | None = None
+        self._detected: Detected | None = None
+        self._queue: list[LocatedObject] = []
+        self._others: tuple[LocatedObject, ...] = ()
+        self._cycle_started = 0.0
+        self._last_motion = 0.0
+        self._camera_failures = 0
+        self._picks_from_look = 0
+        self._plane = rig.calibration.plane(_typical_half_height(rig))
+        self._region: NDArray[np.uint8] | None = None
+        self._handlers: dict[State, Callable[[], str]] = {
+            State.HOMING: self._home,
+            State.CAPTURE: self._capture,
+            State.DETECT: self._detect,
+            State.LOCALIZE: self._localize,
+            State.PICK: self._pick,
+            State.PLACE: self._place,
+            State.IDLE: self._idle,
+            State.HELD: self._hold,
+        }
+
+    # --- from outside ---------------------------------------------------------------------------------
+
+    def request_stop(self) -> None:
+        """Stop along the path, park and let go of the torque; from any thread or signal handler."""
+        self._stop.set()
+        self.rig.arm.request_stop()
+
+    def request_pause(self) -> None:
+        """Hold before the next look; from any thread."""
+        self._pause.set()
+
+    def resume(self) -> None:
+        """Go on after `request_pause`; from any thread."""
+        self._pause.clear()
+
+    def run(self) -> None:
+        """Sort. Moves metal, blocks until the cell is STOPPED or FAULT."""
+        self._fire("started")
+        while self.machine.state not in (State.STOPPED, State.FAULT):
+            try:
+                trigger = "stopped" if self._stop.is_set() else self._handlers[self.machine.state]()
+            except _Interrupted:
+                trigger = "stopped"
+            except CameraError as error:
+                trigger = self._camera_failed(error)
+            except SorterError as error:
+                trigger = self._latch(error)
+            except BaseException:
+                self._leave_safely()
+                raise
+            if trigger == "stopped":
+                trigger = self._shut_down()
+            self._fire(trigger)
+        if self.fault is not None:
+            self._leave_safely()
+        self._conclude_open()
+
+    # --- the states -----------------------------------------------------------------------------------
+
+    def _home(self) -> str:
+        state = self.rig.arm.energise()
+        self._follow(self.rig.planner.home(state.positions))
+        return "homed"
+
+    def _capture(self) -> str:
+        if self._pause.is_set():
+            return "held"
+        if self._most_parts is not None and self._concluded >= self._most_parts:
+            return "stopped"
+        self._cycle_started = self.rig.clock.now()
+        self._frame = self.rig.camera.capture(self._last_motion, self.rig.config.camera.frame_timeout_s)
+        self._camera_failures = 0
+        self._picks_from_look = 0
+        return "captured"
+
+    def _detect(self) -> str:
+        assert self._frame is not None
+        if self._region is None or self._region.shape != self._frame.image.shape[:2]:
+            self._region = region_mask(self.rig.config, self.rig.calibration, self._frame.size)
+        self._detected = detect(self._frame, self.rig.recipe, plane=self._plane, region=self._region)
+        self.rig.clock.charge(self.rig.config.cycle.vision_budget_s)
+        return "detected"
+
+    def _localize(self) -> str:
+        assert self._frame is not None
+        assert self._detected is not None
+        config = self.rig.config
+        found = locate(self._detected.detections, self.rig.calibration, config.part_height)
+        named, gone = self._book.identify(found.objects)
+        for target in gone:
+            self._give_up(target)
+        look = Look(self._frame, self._detected.detections, tuple(named), found.refused)
+        for observer in self.rig.observers:
+            observer.looked(look)
+        self._others = tuple(named)
+        self._queue = self._candidates(named)
+        self.left = tuple(named)
+        return "located" if self._queue else "emptied"
+
+    def _pick(self) -> str:
+        chosen = self._plan_next()
+        if chosen is None:
+            return "emptied"
+        target, plan = chosen
+        for observer in self.rig.observers:
+            observer.planned(plan)
+        if not self.rig.confirm(plan):
+            self._conclude(target, Result.SKIPPED, "refused by the operator")
+            return "missed"
+        target.attempts += 1
+        self.rig.ledger.intend(target.target_id, plan, target.attempts, self.rig.clock.now())
+        for observer in self.rig.observers:
+            observer.attempted(plan, target.attempts)
+        self._holding = target
+        self._grip(plan.grasp.opening)
+        self._follow(plan.approach)
+        report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
+        self._moved(report.finished)
+        refusal = proof.refusal(report, plan.grasp)
+        if refusal is None:
+            return "picked"
+        self._holding = None
+        target.reason = refusal
+        self._grip(plan.grasp.opening)
+        self._follow(self.rig.planner.home(self.rig.arm.state().positions))
+        if target.attempts >= self.rig.config.cycle.attempts:
+            self._conclude(target, Result.GRASP_MISSED, refusal)
+        return "missed"
+
+    def _place(self) -> str:
+        target = self._holding
+        assert target is not None
+        assert target.plan is not None
+        plan = target.plan
+        self._follow(plan.carry)
+        dropped = proof.lost(self.rig.arm.state(), plan.grasp)
+        self._grip(plan.grasp.opening)
+        self._follow(plan.retreat)
+        self._holding = None
+        if dropped is not None:
+            target.lost, target.reason = True, dropped
+            if target.attempts >= self.rig.config.cycle.attempts:
+                self._conclude(target, Result.DROPPED, dropped)
+        else:
+            self._filled[plan.bin.name] += 1
+            rejected = plan.bin.name == self.rig.config.sorting.otherwise
+            self._conclude(target, Result.REJECTED if rejected else Result.PLACED, f"in {plan.bin.name}")
+        self.cycle_times.append(self.rig.clock.now() - self._cycle_started)
+        self._picks_from_look += 1
+        if self._queue and self._picks_from_look < self.rig.config.cycle.picks_per_look and dropped is None:
+            self._cycle_started = self.rig.clock.now()
+            return "continued"
+        return "placed"
+
+    def _idle(self) -> str:
+        if self._until_empty:
+            return "stopped"
+        if self.rig.config.cycle.idle_look_s > 0:
+            self.rig.clock.sleep(self.rig.config.cycle.idle_look_s)
+        return "woken"
+
+    def _hold(self) -> str:
+        if self._camera_failures:
+            return self._reopen_camera()
+        if self._pause.is_set():
+            self.rig.clock.sleep(0.05)
+            return "held_on"
+        return "resumed"
+
+    # --- choosing -------------------------------------------------------------------------------------
+
+    def _candidates(self, located: list[LocatedObject]) -> list[LocatedObject]:
+        """What may be picked now, the surest first: old acquaintances last, then by confidence."""
+        config = self.rig.config
+        tried = {target.target_id: target.attempts for target in self._book.open}
+        wanted = [
+            thing
+            for thing in located
+            if thing.detection.score >= config.vision.minimum_score
+            and "cut_by_border" not in thing.detection.flags
+            and config.in_work_area(thing.center, self.rig.calibration.T_base_table)
+            and self._bin_for(thing) is not None
+        ]
+        return sorted(wanted, key=lambda thing: (tried.get(thing.target_id, 0), -thing.detection.score))
+
+    def _bin_for(self, thing: LocatedObject) -> Bin | None:
+        name = self.rig.config.bin_for(thing.shape, thing.detection.label, thing.size[0])
+        for bin_ in self.rig.config.bin_values():
+            if bin_.name == name and self._filled[name] < bin_.capacity:
+                return bin_
+        return None
+
+    def _drop_point(self, bin_: Bin) -> Point:
+        corner = self._filled[bin_.name] % 4
+        dx, dy = ((-1, -1), (1, 1), (1, -1), (-1, 1))[corner]
+        return bin_.center[0] + dx * _DROP_SPREAD * bin_.size[0], bin_.center[1] + dy * _DROP_SPREAD * bin_.size[1]
+
+    def _plan_next(self) -> tuple[Target, PickPlan] | None:
+        """The first candidate that a safe plan exists for."""
+        start = self.rig.arm.state().positions
+        while self._queue:
+            thing = self._queue.pop(0)
+            bin_ = self._bin_for(thing)
+            if bin_ is None:
+                continue
+            others = tuple(other for other in self._others if other.detection is not thing.detection)
+            self.rig.clock.charge(self.rig.config.cycle.planning_budget_s)
+            try:
+                plan = self.rig.planner.plan_pick(thing, others, bin_, self._drop_point(bin_), start)
+            except PlanError as error:
+                self.rig.ledger.note("unplannable", self.rig.clock.now(), center=thing.center, reason=str(error))
+                continue
+            target = self._book.choose(thing, self.rig.clock.now())
+            target.plan = plan
+            self._others = others
+            return target, plan
+        return None
+
+    # --- motion ---------------------------------------------------------------------------------------
+
+    def _follow(self, trajectory: Trajectory) -> MoveReport:
+        report = self.rig.arm.follow(trajectory)
+        self._moved(report.finished)
+        return report
+
+    def _grip(self, opening: float) -> None:
+        self._moved(self.rig.arm.grip(opening).finished)
+
+    def _moved(self, finished: bool) -> None:
+        self._last_motion = self.rig.clock.now()
+        if not finished:
+            raise _Interrupted
+
+    def _shut_down(self) -> str:
+        """Park and let go of the torque; the trigger says whether that went well."""
+        try:
+            if self._holding is not None:
+                self._conclude(self._holding, Result.ABORTED, "stopped while the arm was at work on it")
+                self._holding = None
+            self.rig.arm.clear_stop()
+            report = self.rig.arm.follow(self.rig.planner.park(self.rig.arm.state().positions))
+            if report.finished:
+                self.rig.arm.relax()
+        except SorterError as error:
+            return self._latch(error)
+        return "stopped"
+
+    def _leave_safely(self) -> None:
+        """After a fault: park when the arm still answers, else leave it to hold or to its own watchdog."""
+        if self._holding is not None:
+            self._try_conclude(self._holding, Result.INDETERMINATE, f"fault: {self.fault}")
+            self._holding = None
+        try:
+            self.rig.arm.clear_stop()
+            state = self.rig.arm.state()
+            if self.rig.arm.follow(self.rig.planner.park(state.positions)).finished:
+                self.rig.arm.relax()
+        except SorterError as error:
+            self._try_note("park_failed", reason=str(error))
+
+    # --- faults ---------------------------------------------------------------------------------------
+
+    def _latch(self, error: SorterError) -> str:
+        if self.fault is None:
+            self.fault = error
+            self._try_note("fault", reason=str(error), kind=type(error).__name__)
+            for observer in self.rig.observers:
+                observer.faulted(error, self.rig.clock.now())
+        return "faulted"
+
+    def _camera_failed(self, error: CameraError) -> str:
+        if isinstance(error, CameraEnded):
+            return "stopped"
+        self._camera_failures += 1
+        self._try_note("camera", reason=str(error), failures=self._camera_failures)
+        if self._camera_failures > _CAMERA_RETRIES:
+            return self._latch(error)
+        return "held_on" if self.machine.state is State.HELD else "held"
+
+    def _reopen_camera(self) -> str:
+        self.rig.clock.sleep(0.5 * 2 ** (self._camera_failures - 1))
+        self.rig.camera.close()
+        self.rig.camera.open()
+        return "resumed"
+
+    # --- outcomes -------------------------------------------------------------------------------------
+
+    def _conclude(self, target: Target, result: Result, reason: str) -> None:
+        now = self.rig.clock.now()
+        outcome = Outcome(target.located, target.plan, result, reason, target.attempts, target.started_at, now)
+        self._book.close(target)
+        self._concluded += 1
+        self.rig.ledger.conclude(outcome)
+        for observer in self.rig.observers:
+            observer.concluded(outcome)
+
+    def _try_conclude(self, target: Target, result: Result, reason: str) -> None:
+        try:
+            self._conclude(target, result, reason)
+        except LedgerError as error:
+            self._latch(error)
+
+    def _try_note(self, kind: str, **details: object) -> None:
+        try:
+            self.rig.ledger.note(kind, self.rig.clock.now(), **details)
+        except LedgerError as error:
+            self.fault = self.fault or error
+
+    def _give_up(self, target: Target) -> None:
+        """A target that was tried and is nowhere to be seen."""
+        if target.lost:
+            self._conclude(target, Result.DROPPED, target.reason)
+        else:
+            self._conclude(target, Result.INDETERMINATE, f"gone after a missed grasp ({target.reason})")
+
+    def _conclude_open(self) -> None:
+        for target in self._book.open:
+            if target.attempts:
+                result = Result.DROPPED if target.lost else Result.GRASP_MISSED
+                self._try_conclude(target, result, target.reason or "the run ended before the next attempt")
+
+    def _fire(self, trigger: str) -> None:
+        if trigger == "held_on":
+            return
+        state = self.machine.fire(trigger)
+        for observer in self.rig.observers:
+            observer.entered(state, self.rig.clock.now())
+
+
+def _typical_half_height(rig: Rig) -> float:
+    heights = [part.height_mm for part in rig.config.parts] or [rig.config.default_part.height_mm]
+    return float(np.mean(heights)) / 2.0

@@ -1,0 +1,111 @@
+"""Which object is which from one look to the next, so that a part retried twice is still one part.
+
+The camera gives places, not identities. A target keeps its id as long as an object of the same shape and
+size lies where it was last known to be, or, after it was lost on the way, turns up where nothing lay before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from controller.domain import LocatedObject, PickPlan
+
+SAME_PLACE_MM = 25.0
+"""A missed grasp pushes a part by less than half of the narrowest part (34 mm wide) plus the jaw's stroke."""
+SAME_SIZE_MM = 3.0
+"""Two looks at one part differ by less: size sigma 0.3 mm, plus what a side face can add near the border."""
+
+
+@dataclass(slots=True)
+class Target:
+    """One physical object chosen to be picked.
+
+    Attributes:
+        target_id: Unique within the run.
+        located: Where it was last seen.
+        started_at: s of the cell's clock, when it was first chosen.
+        attempts: How often motion was started for it.
+        plan: The last plan.
+        lost: It left its place without arriving: it may lie anywhere.
+    """
+
+    target_id: str
+    located: LocatedObject
+    started_at: float
+    attempts: int = 0
+    plan: PickPlan | None = None
+    lost: bool = False
+    reason: str = ""
+
+
+class TargetBook:
+    """The open targets of a run."""
+
+    def __init__(self, prefix: str = "t") -> None:
+        self._prefix = prefix
+        self._count = 0
+        self._open: dict[str, Target] = {}
+        self._previous: list[tuple[float, float]] = []
+
+    @property
+    def open(self) -> tuple[Target, ...]:
+        """Targets without an outcome, oldest first."""
+        return tuple(self._open.values())
+
+    def identify(self, seen: Sequence[LocatedObject]) -> tuple[list[LocatedObject], list[Target]]:
+        """Give every object of a new look the id of the open target it is.
+
+        Returns:
+            The objects, those that are open targets with their `target_id`; and the open targets that
+            were tried and are nowhere to be seen any more.
+        """
+        free = list(range(len(seen)))
+        ids: dict[int, str] = {}
+        for target in self._open.values():
+            match = self._match(target, seen, free)
+            if match is not None:
+                free.remove(match)
+                ids[match] = target.target_id
+                target.located = dataclasses.replace(seen[match], target_id=target.target_id)
+                target.lost = False
+        named = [dataclasses.replace(thing, target_id=ids.get(i, "")) for i, thing in enumerate(seen)]
+        gone = [t for t in self._open.values() if t.attempts and t.target_id not in ids.values()]
+        self._previous = [thing.center for thing in seen]
+        return named, gone
+
+    def _match(self, target: Target, seen: Sequence[LocatedObject], free: list[int]) -> int | None:
+        best, best_distance = None, math.inf
+        for index in free:
+            thing = seen[index]
+            if thing.shape is not target.located.shape or not _same_size(thing, target.located):
+                continue
+            distance = math.dist(thing.center, target.located.center)
+            if distance > SAME_PLACE_MM:
+                newcomer = all(math.dist(thing.center, old) > SAME_PLACE_MM for old in self._previous)
+                if not (target.lost and newcomer):
+                    continue
+            if distance < best_distance:
+                best, best_distance = index, distance
+        return best
+
+    def choose(self, located: LocatedObject, now: float) -> Target:
+        """The open target an object is, or a new one."""
+        known = self._open.get(located.target_id)
+        if known is not None:
+            return known
+        self._count += 1
+        target_id = f"{self._prefix}{self._count}"
+        target = Target(target_id, dataclasses.replace(located, target_id=target_id), now)
+        self._open[target_id] = target
+        return target
+
+    def close(self, target: Target) -> None:
+        """Forget a target that has its outcome."""
+        del self._open[target.target_id]
+
+
+def _same_size(a: LocatedObject, b: LocatedObject) -> bool:
+    return all(abs(x - y) <= SAME_SIZE_MM for x, y in zip(a.size, b.size, strict=True))

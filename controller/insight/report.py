@@ -1,0 +1,88 @@
+"""The report of a run: one HTML file that needs nothing else, with the pictures before and after."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.cycle.rig import Look
+from controller.vision.annotate import annotate
+
+_STYLE = """
+body{font:16px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:70rem;padding:0 1rem;color:#1b1f24}
+h1{font-size:1.5rem}table{border-collapse:collapse}td{padding:.2rem 1.2rem .2rem 0;border-bottom:1px solid #dde}
+td:last-child{font-variant-numeric:tabular-nums}figure{margin:1.5rem 0}img{width:100%;border-radius:6px}
+.good{color:#0a7d33}.bad{color:#b3261e}
+"""
+
+_NAMES = {
+    "parts": "parts on the table",
+    "reachable": "of them within reach",
+    "sorted": "sorted, by the cell's own proof",
+    "correct": "in the right bin, by the world's truth",
+    "missorted": "in a wrong bin, by the world's truth",
+    "silent": "thought placed, but elsewhere",
+    "rejected": "put into the reject bin",
+    "left": "left on the table",
+    "dropped": "dropped on the way",
+    "indeterminate": "whereabouts unknown",
+    "collisions": "touches of what should not be touched",
+    "attempts": "attempts",
+    "first_try": "sorted at the first attempt",
+    "calibration_s": "calibration, s of the cell's clock",
+    "sim_s": "sorting, s of the cell's clock",
+    "wall_s": "sorting, s of the wall clock",
+    "cycle_s": "cycle time, s",
+    "localization_error_mm": "error of the located centre, mm",
+    "orientation_error_deg": "error of the orientation modulo the symmetry, degrees",
+}
+
+
+def annotated(look: Look) -> NDArray[np.uint8]:
+    """The picture of a look with everything found drawn into it."""
+    return annotate(look.frame.image, look.detections, located=look.located)
+
+
+def rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The figures of a run as (name, value), in words a person reads."""
+    return [(name, _text(report[key])) for key, name in _NAMES.items() if report.get(key) is not None]
+
+
+def page(report: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
+    """A self-contained HTML page.
+
+    Args:
+        report: The figures of the contract of `controller run --json`.
+        pictures: PNG files by caption.
+    """
+    title = f"Sorting run: {report.get('mode', '')} {report.get('arm', '')}".strip()
+    lines = [
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>',
+        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1><table>",
+    ]
+    lines += [f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>" for name, value in rows(report)]
+    lines.append("</table>")
+    for fault in report.get("faults", []):
+        what = f"{fault['code']} at {fault['at_s']} s: {fault['cause']}"
+        lines.append(f'<p class="bad">{html.escape(what)}</p>')
+    for caption, path in pictures.items():
+        data = base64.b64encode(path.read_bytes()).decode()
+        lines.append(
+            f'<figure><img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">'
+            f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        )
+    return "\n".join(lines) + "</html>\n"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(part)}" for key, part in value.items())
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)

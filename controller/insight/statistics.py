@@ -1,0 +1,183 @@
+"""The figures of a run: counted from outcomes, and beside a simulated world's truth where there is one."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from controller.config.cell import CellConfig
+from controller.cycle.rig import Look, Observer
+from controller.domain import LocatedObject, Outcome, PickPlan, Result, TruePart
+from controller.errors import SorterError
+from controller.geometry import angle_difference
+
+SAME_PART_MM = 30.0
+"""Half of a part and more: a located object belongs to the true part nearest to it within this distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a simulated world can be asked.
+
+    Attributes:
+        now: Every part as it is now.
+        at: Every part as it was at a time of the cell's clock.
+        collisions: Number of touches of arm or part with what they should not touch.
+    """
+
+    now: Callable[[], Sequence[TruePart]]
+    at: Callable[[float], Sequence[TruePart]]
+    collisions: Callable[[], int]
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """How far a located object was from the truth.
+
+    Attributes:
+        position: mm.
+        angle: rad modulo the symmetry, or None for a circle or a wrong shape.
+    """
+
+    position: float
+    angle: float | None
+
+
+def nearest(parts: Sequence[TruePart], located: LocatedObject) -> TruePart | None:
+    """The part on the table that a located object must be, or None when there is none near."""
+    on_table = [part for part in parts if part.place == "table"]
+    if not on_table:
+        return None
+    best = min(on_table, key=lambda part: math.dist(part.center, located.center))
+    return best if math.dist(best.center, located.center) <= SAME_PART_MM else None
+
+
+def error_of(part: TruePart, located: LocatedObject) -> Error:
+    """Error of one located object against the part it shows."""
+    angle = None
+    period = part.shape.period
+    if part.shape is located.shape and period is not None and part.yaw is not None and located.yaw is not None:
+        angle = abs(angle_difference(located.yaw, part.yaw, period))
+    return Error(math.dist(part.center, located.center), angle)
+
+
+class Statistics(Observer):
+    """Counts a run as it goes.
+
+    Args:
+        config: For the rules that say what was right.
+        truth: The simulated world, or None on real hardware.
+    """
+
+    def __init__(self, config: CellConfig, truth: Truth | None = None) -> None:
+        self._config = config
+        self._truth = truth
+        self.outcomes: list[Outcome] = []
+        self.attempts = 0
+        self.errors: list[Error] = []
+        self.faults: list[dict[str, Any]] = []
+
+    def attempted(self, plan: PickPlan, attempt: int) -> None:
+        """Count the attempt, and compare where the part was thought to be with where it was."""
+        self.attempts += 1
+        if self._truth is not None:
+            part = nearest(self._truth.at(plan.target.detection.frame.captured_at), plan.target)
+            if part is not None:
+                self.errors.append(error_of(part, plan.target))
+
+    def concluded(self, outcome: Outcome) -> None:
+        """Keep the outcome."""
+        self.outcomes.append(outcome)
+
+    def faulted(self, error: SorterError, at: float) -> None:
+        """Keep the fault."""
+        fault = {"code": type(error).__name__, "at_s": round(at, 3), "action": "stopped", "cause": str(error)}
+        self.faults.append(fault)
+
+    def summary(self, left_seen: int, cycle_times: Sequence[float]) -> dict[str, Any]:
+        """The counts of the contract of `controller run --json`; lengths mm, angles degrees, times s.
+
+        Args:
+            left_seen: Objects that the last look showed on the table.
+            cycle_times: s for each part dealt with.
+        """
+        count = Counter(outcome.result for outcome in self.outcomes)
+        tried_left = count[Result.SKIPPED] + count[Result.GRASP_MISSED] + count[Result.ABORTED]
+        figures: dict[str, Any] = {
+            "sorted": count[Result.PLACED],
+            "rejected": count[Result.REJECTED],
+            "left": max(left_seen, tried_left),
+            "dropped": count[Result.DROPPED],
+            "indeterminate": count[Result.INDETERMINATE],
+            "attempts": self.attempts,
+            "first_try": sum(
+                outcome.attempts == 1 and outcome.result in (Result.PLACED, Result.REJECTED)
+                for outcome in self.outcomes
+            ),
+            "cycle_s": spread(cycle_times, ("median", "p95")),
+            "faults": self.faults,
+        }
+        figures["parts"] = sum(figures[key] for key in ("sorted", "rejected", "left", "dropped", "indeterminate"))
+        if self._truth is not None:
+            figures |= self._against_truth(figures)
+        return figures
+
+    def _against_truth(self, figures: Mapping[str, Any]) -> dict[str, Any]:
+        assert self._truth is not None
+        final = {part.part_id: part for part in self._truth.now()}
+        bins = {bin_.name for bin_ in self._config.bins}
+        verdicts: Counter[str] = Counter()
+        for outcome in self.outcomes:
+            if outcome.result is not Result.PLACED:
+                continue
+            seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
+            part = final[seen.part_id] if seen is not None else None
+            if part is None or part.place not in bins:
+                verdicts["silent"] += 1
+            elif part.place == self._config.bin_for(part.shape, str(part.shape), part.size[0]):
+                verdicts["correct"] += 1
+            else:
+                verdicts["missorted"] += 1
+        accounted = sum(figures[key] for key in ("sorted", "rejected", "dropped", "indeterminate"))
+        return {
+            "parts": len(final),
+            "reachable": sum(part.reachable for part in final.values()),
+            "left": len(final) - accounted,
+            "correct": verdicts["correct"],
+            "missorted": verdicts["missorted"],
+            "silent": verdicts["silent"],
+            "collisions": self._truth.collisions(),
+            "localization_error_mm": spread([e.position for e in self.errors], ("mean", "p95", "max")),
+            "orientation_error_deg": spread(
+                [math.degrees(e.angle) for e in self.errors if e.angle is not None], ("mean", "p95")
+            ),
+        }
+
+
+def spread(values: Sequence[float], wanted: Sequence[str]) -> dict[str, float | None]:
+    """Any of mean, median, p95 and max of some values, rounded to a thousandth; None where there are none."""
+    functions: dict[str, Callable[[Any], Any]] = {
+        "mean": np.mean,
+        "median": np.median,
+        "p95": lambda v: np.percentile(v, 95),
+        "max": np.max,
+    }
+    return {name: round(float(functions[name](values)), 3) if len(values) else None for name in wanted}
+
+
+class LastLooks(Observer):
+    """Keeps the first look and the last one, for the pictures before and after."""
+
+    def __init__(self) -> None:
+        self.first: Look | None = None
+        self.last: Look | None = None
+
+    def looked(self, look: Look) -> None:
+        """Remember the look."""
+        self.first = self.first or look
+        self.last = look

@@ -1,0 +1,47 @@
+"""Where a run keeps what must outlive it."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+
+from controller.errors import SorterError
+from controller.service.lock import InstanceLock
+
+
+class FolderTaken(SorterError):
+    """The folder named for a run's results already holds something."""
+
+    exit_code = 2
+
+
+def state_folder() -> Path:
+    """Folder of a real cell's ledger, lock and calibration: `$STATE_DIRECTORY`, else the XDG state folder."""
+    given = os.environ.get("STATE_DIRECTORY")
+    if given:
+        return Path(given.split(os.pathsep)[0])
+    base = os.environ.get("XDG_STATE_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "sorting-controller"
+
+
+def new_run_folder(wanted: Path | None, now: datetime) -> Path:
+    """An empty folder for one run: the one asked for, or a fresh one below `runs/`.
+
+    Raises:
+        FolderTaken: It is not empty.
+        InstanceBusy: A run is using it right now.
+    """
+    if wanted is None:
+        stem = Path("runs") / now.strftime("%Y%m%d-%H%M%S")
+        wanted, count = stem, 1
+        while wanted.exists():
+            count += 1
+            wanted = stem.with_name(f"{stem.name}-{count}")
+    elif wanted.exists() and (not wanted.is_dir() or any(wanted.iterdir())):
+        if (wanted / "lock").is_file():
+            with InstanceLock(wanted):
+                pass
+        raise FolderTaken(f"{wanted} exists and is not empty", "name a new folder with --out")
+    wanted.mkdir(parents=True, exist_ok=True)
+    return wanted

@@ -1,0 +1,208 @@
+"""One run from the lock to the report: devices, calibration, cycle, figures, pictures.
+
+The order is fixed: nothing is opened before the configuration is known to be sound, nothing moves before
+devices and calibration are, and whatever happens the devices are released and the record is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import cv2
+
+from controller import __version__
+from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera
+from controller.calibration.store import load_calibration
+from controller.config.arm import load_arm
+from controller.config.cell import CellConfig
+from controller.cycle.preflight import check
+from controller.cycle.rig import Observer, Rig
+from controller.cycle.sorter import Sorter
+from controller.domain import ArmDescription, CellCalibration, PickPlan
+from controller.errors import CalibrationMissing
+from controller.insight.report import annotated, page
+from controller.insight.statistics import LastLooks, Statistics
+from controller.ledger.sqlite import SqliteLedger
+from controller.motion.planner import Planner
+from controller.service.folders import new_run_folder, state_folder
+from controller.service.lock import InstanceLock
+from controller.service.self_calibration import calibrate_cell
+from controller.vision.recipe import load_recipe
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line asks of a run; see `controller run --help`."""
+
+    mode: Mode
+    config: CellConfig
+    out: Path | None = None
+    replay: Path | None = None
+    calibration: Path | None = None
+    parts: int | None = None
+    seed: int = 0
+    level: Level = Level.DYNAMIC
+    real_time: bool = False
+    start: bool = False
+    observers: tuple[Observer, ...] = ()
+    confirm: Callable[[PickPlan], bool] = lambda plan: True
+    say: Callable[[str], None] = lambda line: None
+
+
+class Session:
+    """One run; `stop` may be called from another thread or a signal handler."""
+
+    def __init__(self, options: RunOptions) -> None:
+        self.options = options
+        self._config = options.config
+        self._stop = threading.Event()
+        self._sorter: Sorter | None = None
+
+    def stop(self) -> None:
+        """End the run soon: the arm slows down along its path, parks, and lets go of the torque."""
+        self._stop.set()
+        if self._sorter is not None:
+            self._sorter.request_stop()
+
+    def run(self) -> dict[str, Any]:
+        """Sort, and say how it went.
+
+        Returns:
+            The figures of the contract of `controller run --json`.
+
+        Raises:
+            SorterError: The run could not begin, or the cell ended in FAULT (after the arm was made safe and
+                the report written).
+        """
+        arm = load_arm(self._config.arm.description)
+        recipe = load_recipe(self._config.vision.recipe)
+        for warning in check(self._config, arm, self._planner(arm, self._by_ruler())):
+            self.options.say(f"warning: {warning}")
+        folder = state_folder()
+        if self.options.mode is not Mode.REAL or self.options.out is not None:
+            folder = new_run_folder(self.options.out, datetime.now())
+        with InstanceLock(folder), contextlib.ExitStack() as stack:
+            devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder))
+            stack.callback(devices.close)
+            devices.open()
+            calibration, calibration_s = self._calibrated(devices, arm, folder)
+            ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
+            statistics = Statistics(self._config, devices.truth)
+            looks = LastLooks()
+            rig = Rig(
+                self._config,
+                devices.camera,
+                devices.arm,
+                devices.clock,
+                ledger,
+                calibration,
+                recipe,
+                self._planner(arm, calibration),
+                observers=(*devices.observers, statistics, looks, *self.options.observers),
+                confirm=self.options.confirm,
+            )
+            if not self._started():
+                return {}
+            ledger.note(
+                "start",
+                devices.clock.now(),
+                mode=str(self.options.mode),
+                config=self._config.digest,
+                calibration=calibration.calibration_id,
+                software=__version__,
+                seed=self.options.seed,
+            )
+            most = self.options.parts if self.options.mode is Mode.REAL else None
+            self._sorter = Sorter(rig, until_empty=self.options.mode is not Mode.REAL, most_parts=most)
+            if self._stop.is_set():
+                self._sorter.request_stop()
+            began, began_wall = devices.clock.now(), monotonic()
+            self._sorter.run()
+            last = self._last_look(rig, looks)
+            ledger.note("stop", devices.clock.now(), fault=str(self._sorter.fault or ""))
+            report = self._head(arm) | statistics.summary(last, self._sorter.cycle_times)
+            report |= {
+                "calibration_s": round(calibration_s, 3),
+                "sim_s": round(devices.clock.now() - began, 3),
+                "wall_s": round(monotonic() - began_wall, 3),
+                "out": str(folder),
+            }
+            self._write(folder, report, looks)
+            if self._sorter.fault is not None:
+                raise self._sorter.fault
+            return report
+
+    # --- parts of a run -------------------------------------------------------------------------------
+
+    def _head(self, arm: ArmDescription) -> dict[str, Any]:
+        head: dict[str, Any] = {"mode": str(self.options.mode), "arm": arm.name}
+        if self.options.mode is Mode.SIM:
+            head |= {"level": str(self.options.level), "seed": self.options.seed}
+        return head
+
+    def _backend_options(self, folder: Path) -> BackendOptions:
+        return BackendOptions(
+            out=folder,
+            replay=self.options.replay,
+            parts=8 if self.options.parts is None else self.options.parts,
+            seed=self.options.seed,
+            level=self.options.level,
+            real_time=self.options.real_time,
+        )
+
+    def _planner(self, arm: ArmDescription, calibration: CellCalibration) -> Planner:
+        speed = self._config.arm.speed_percent / 100.0
+        return Planner(arm, calibration, self._config.bin_values(), speed=speed)
+
+    def _by_ruler(self) -> CellCalibration:
+        camera, T_table_camera = nominal_camera(self._config)
+        return CellCalibration("by ruler", camera, T_table_camera, self._config.table.T_base_table())
+
+    def _calibrated(self, devices: Devices, arm: ArmDescription, folder: Path) -> tuple[CellCalibration, float]:
+        """The calibration to work with, and how long its making took (s of the cell's clock)."""
+        given = self.options.calibration
+        if given is not None:
+            return load_calibration(given), 0.0
+        if devices.presenter is not None:
+            self.options.say("calibrating the cell by showing it boards")
+            began = devices.clock.now()
+            made = calibrate_cell(devices, arm, self._config, self._by_ruler(), folder / "calibration")
+            return made, devices.clock.now() - began
+        if self.options.mode is Mode.REPLAY:
+            self.options.say("warning: no --calibration: positions are by ruler and data sheet, good to centimetres")
+            return self._by_ruler(), 0.0
+        stored = state_folder() / "calibration"
+        if stored.is_dir():
+            return load_calibration(stored), 0.0
+        raise CalibrationMissing(
+            f"no calibration in {stored}", "make one with controller calibrate, or name one with --calibration"
+        )
+
+    def _started(self) -> bool:
+        """Whether the operator wants motion; a real cell waits here, STOPPED, until he stops it."""
+        if self.options.mode is not Mode.REAL or self.options.start:
+            return True
+        self.options.say("STOPPED: everything is ready and nothing moves; run with --start to sort")
+        self._stop.wait()
+        return False
+
+    def _last_look(self, rig: Rig, looks: LastLooks) -> int:
+        """Objects left on the table, seen by the last look of the run."""
+        return len(looks.last.located) + len(looks.last.refused) if looks.last is not None else 0
+
+    def _write(self, folder: Path, report: dict[str, Any], looks: LastLooks) -> None:
+        pictures = {}
+        for name, look in (("before", looks.first), ("after", looks.last)):
+            if look is not None:
+                pictures[name] = folder / f"{name}.png"
+                cv2.imwrite(str(pictures[name]), annotated(look))
+        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
