@@ -1,0 +1,192 @@
+"""Reading a ledger: counts, export and the proof that every target was counted once."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+from urllib.parse import quote
+
+from controller.domain import Result
+from controller.errors import LedgerError
+from controller.ledger.failures import as_ledger_error
+from controller.ledger.schema import SCHEMA, is_foreign, version_of
+
+Table = Literal["runs", "intents", "outcomes", "events"]
+TABLES: tuple[Table, ...] = ("runs", "intents", "outcomes", "events")
+_KEY: dict[Table, str] = {"runs": "run_id", "intents": "intent_id", "outcomes": "outcome_id", "events": "event_id"}
+
+_OPEN_TARGETS = """
+    SELECT DISTINCT run_id, target_id FROM intents
+    EXCEPT SELECT run_id, target_id FROM outcomes
+"""
+
+
+class LedgerReader:
+    """What can be asked of an open ledger.
+
+    Args:
+        path: Its file, for messages.
+        connection: The open database; closed by `close`.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._connection = connection
+
+    def close(self) -> None:
+        """Release the file; harmless when closed."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def rows(self, table: Table, run_id: int | None = None) -> Iterator[dict[str, object]]:
+        """The records of a table, oldest first, of one run or of all."""
+        if table not in TABLES:
+            raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")
+        where, values = ("", ()) if run_id is None else ("WHERE run_id = ?", (run_id,))
+        with as_ledger_error(self.path, "read"), closing(self._connection.cursor()) as cursor:
+            cursor.execute(f"SELECT * FROM {table} {where} ORDER BY {_KEY[table]}", values)
+            names = [column[0] for column in cursor.description]
+            for values_ in cursor:
+                row = dict(zip(names, values_, strict=True))
+                if "details" in row:
+                    row["details"] = json.loads(str(row["details"]))
+                yield row
+
+    def counts(self, run_id: int | None = None) -> dict[str, int]:
+        """Targets by result, plus `open` (begun without an outcome yet) and `targets` (all of them)."""
+        where, values = ("", ()) if run_id is None else ("WHERE run_id = ?", (run_id,))
+        found: dict[str, int] = {str(result): 0 for result in Result}
+        with as_ledger_error(self.path, "read"):
+            results = self._connection.execute(f"SELECT result, count(*) FROM outcomes {where} GROUP BY result", values)
+            found.update(results.fetchall())
+            open_ = self._connection.execute(f"SELECT count(*) FROM ({_OPEN_TARGETS}) {where}", values)
+            targets = self._connection.execute(
+                "SELECT count(*) FROM (SELECT run_id, target_id FROM intents UNION"
+                f" SELECT run_id, target_id FROM outcomes) {where}",
+                values,
+            )
+            found["open"] = int(open_.fetchone()[0])
+            found["targets"] = int(targets.fetchone()[0])
+        return found
+
+    def verify(self) -> tuple[str, ...]:
+        """Everything that is wrong with the file or the record; empty for a sound ledger.
+
+        Checks SQLite's own structure, that every record belongs to a run, that every target has one outcome at
+        most, which knows of all attempts on record, and that targets by result and open ones add up to all targets.
+        """
+        problems: list[str] = []
+        with as_ledger_error(self.path, "verify"):
+            ask = self._connection.execute
+            problems += [str(line) for (line,) in ask("PRAGMA quick_check") if line != "ok"]
+            problems += [f"{table} {row} names an unknown run" for table, row, *_ in ask("PRAGMA foreign_key_check")]
+            problems += [
+                f"target {target} of run {run} has {number} outcomes"
+                for run, target, number in ask(
+                    "SELECT run_id, target_id, count(*) FROM outcomes GROUP BY run_id, target_id HAVING count(*) > 1"
+                )
+            ]
+            problems += [
+                f"target {target} of run {run}: {tried} attempts on record, but its outcome says {said}"
+                for run, target, tried, said in ask(
+                    "SELECT run_id, target_id, count(*) AS tried, o.attempts FROM intents i"
+                    " JOIN outcomes o USING (run_id, target_id) GROUP BY run_id, target_id HAVING o.attempts < tried"
+                )
+            ]
+        counts = self.counts()
+        targets = counts.pop("targets")
+        if sum(counts.values()) != targets:
+            problems.append(f"{targets} targets, but {sum(counts.values())} by result and open")
+        return tuple(problems)
+
+    def export(self, format_: Literal["csv", "jsonl"], table: Table = "outcomes") -> Iterator[str]:
+        """The records of a table as lines of text without their ends: CSV with a header, or one JSON object each."""
+        if table not in TABLES:
+            raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")
+        if format_ == "jsonl":
+            for row in self.rows(table):
+                yield json.dumps(row)
+        elif format_ == "csv":
+            columns = [str(row[1]) for row in self._connection.execute(f"PRAGMA table_info({table})")]
+            yield _csv_line(columns)
+            for row in self.rows(table):
+                yield _csv_line([json.dumps(v) if isinstance(v, dict) else v for v in row.values()])
+        else:
+            raise ValueError(f"no format {format_!r}; there are csv, jsonl")
+
+
+class LedgerView(LedgerReader):
+    """A ledger opened for reading only; a running cell may go on writing to it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        LedgerError: There is no such ledger, it is damaged, or a newer version wrote it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise LedgerError(f"{path}: no such ledger", "check the name; a run writes ledger.db into its folder")
+        with as_ledger_error(path, "open"):
+            connection = _connect_for_reading(path)
+            try:
+                refuse_unknown(connection, path)
+            except BaseException:
+                connection.close()
+                raise
+        super().__init__(path, connection)
+
+
+def refuse_unknown(connection: sqlite3.Connection, path: Path) -> None:
+    """Stop before touching a file that is not a ledger, or that a newer program wrote.
+
+    Raises:
+        LedgerError: It is one of these.
+    """
+    if is_foreign(connection):
+        raise LedgerError(f"{path}: a database, but not a ledger", "name another file")
+    version = version_of(connection)
+    if version > SCHEMA:
+        raise LedgerError(
+            f"{path}: written by a newer version (schema {version}, this program knows {SCHEMA})",
+            "upgrade this program, or name another file",
+        )
+
+
+def _connect_for_reading(path: Path) -> sqlite3.Connection:
+    address = f"file:{quote(str(path.resolve()))}?mode=ro"
+    connection = sqlite3.connect(address, uri=True, isolation_level=None)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master")
+    except sqlite3.OperationalError:
+        connection.close()
+        if path.with_name(path.name + "-wal").exists():
+            raise
+        # A folder that cannot be written: SQLite wants to make the log's index there. Without a log nobody is
+        # writing, so that the file may be read as it is.
+        connection = sqlite3.connect(f"{address}&immutable=1", uri=True, isolation_level=None)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _csv_line(values: list[str] | list[object]) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="").writerow(values)
+    return out.getvalue()
