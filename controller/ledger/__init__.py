@@ -3,7 +3,7 @@
 `SqliteLedger` is the one writer of a running cell; `LedgerView` reads any ledger without changing it.
 """
 
-from controller.ledger.store import OpenTarget, SqliteLedger
+from controller.ledger.sqlite import OpenTarget, SqliteLedger
 from controller.ledger.view import LedgerView
 
 __all__ = ["LedgerView", "OpenTarget", "SqliteLedger"]

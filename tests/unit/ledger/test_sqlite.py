@@ -167,7 +167,8 @@ def test_a_run_says_what_ran_and_how_it_ended(ledger: SqliteLedger) -> None:
     ledger.end_run("stopped")
     first, second = ledger.rows("runs")
     assert (first["seed"], first["config_hash"], first["end_reason"]) == (7, "abc", "changed")
-    assert (second["details"], second["end_reason"], second["started_at_s"]) == ({"recipe": "precise"}, "stopped", 100.0)
+    assert (second["details"], second["end_reason"]) == ({"recipe": "precise"}, "stopped")
+    assert second["started_at_s"] == 100.0
 
 
 def test_events_keep_their_details(ledger: SqliteLedger) -> None:
@@ -258,9 +259,12 @@ def test_a_full_disk_is_said_and_nothing_half_written_stays(ledger: SqliteLedger
     ask = ledger._connection.execute
     pages = ask("PRAGMA page_count").fetchone()[0]
     ask(f"PRAGMA max_page_count = {pages}")
-    with pytest.raises(LedgerError, match="full.*free some space"):
+    def fill() -> None:
         for number in range(1000):
             ledger.note("tick", float(number), text="x" * 1000)
+
+    with pytest.raises(LedgerError, match=r"full.*free some space"):
+        fill()
     written = len(list(ledger.rows("events")))
     ask("PRAGMA max_page_count = 100000")
     ledger.intend("t1", plan("t1"), 1, 4.0)
@@ -271,7 +275,7 @@ def test_a_full_disk_is_said_and_nothing_half_written_stays(ledger: SqliteLedger
 
 def test_a_ledger_that_became_read_only_is_said(ledger: SqliteLedger) -> None:
     ledger._connection.execute("PRAGMA query_only = ON")
-    with pytest.raises(LedgerError, match="readonly.*writable"):
+    with pytest.raises(LedgerError, match=r"readonly.*writable"):
         ledger.intend("t1", plan("t1"), 1, 4.0)
 
 
