@@ -56,7 +56,7 @@ class SqliteLedger(LedgerReader):
 
     Attributes:
         indeterminate: Targets that opening has settled as INDETERMINATE: the gripper or the table may hold them.
-        unclean_runs: Runs that had never ended.
+        unclean_runs: Number of runs that were cut off: the process was killed, or the power went.
         set_aside: Where a damaged ledger was moved, or None.
 
     Raises:
@@ -106,11 +106,12 @@ class SqliteLedger(LedgerReader):
             ValueError: The target already has an outcome, or this attempt is on record.
             LedgerError: It could not be written; nothing may move.
         """
+        run_id = self._run()
         with self._transaction(f"record the intent to pick {target_id}"):
             self._insert(
                 "intents",
                 {
-                    "run_id": self._run(),
+                    "run_id": run_id,
                     "target_id": target_id,
                     "attempt": attempt,
                     "at_s": float(at),
@@ -128,11 +129,12 @@ class SqliteLedger(LedgerReader):
             LedgerError: It could not be written; it may be tried again.
         """
         target_id = outcome.target.target_id
+        run_id = self._run()
         with self._transaction(f"record the outcome of {target_id}"):
             self._insert(
                 "outcomes",
                 {
-                    "run_id": self._run(),
+                    "run_id": run_id,
                     "target_id": target_id,
                     "result": str(outcome.result),
                     "reason": outcome.reason,
@@ -196,13 +198,30 @@ class SqliteLedger(LedgerReader):
         return run_id
 
     def end_run(self, reason: str) -> None:
-        """End the run in progress in good order."""
+        """End the run in progress in good order; harmless when there is none.
+
+        Raises:
+            LedgerError: It could not be written.
+        """
         with self._transaction("end the run"):
             self._connection.execute(
                 "UPDATE runs SET ended_wall = ?, ended_at_s = ?, end_reason = ? WHERE run_id = ?",
-                (self._now(), self._clock.now(), reason, self._run()),
+                (self._now(), self._clock.now(), reason, self._run_id),
             )
         self._run_id = None
+
+    def close(self) -> None:
+        """End the run in progress and release the file; harmless when closed.
+
+        A target still open stays so, and is settled as INDETERMINATE when the ledger is opened again.
+        """
+        try:
+            if self._run_id is not None:
+                self.end_run("closed")
+        except LedgerError:
+            self._run_id = None  # the next start will call the run unclean, which it was
+        finally:
+            super().close()
 
     # --- inside ---------------------------------------------------------------------------------------
 
@@ -222,9 +241,8 @@ class SqliteLedger(LedgerReader):
                 raise
 
     def _run(self) -> int:
-        if self._run_id is None:
-            raise RuntimeError("no run has begun")
-        return self._run_id
+        """The run in progress; a record must never be lost for want of one."""
+        return self._run_id or self.begin_run(software_version="", config_hash="")
 
     def _now(self) -> str:
         return self._wall().isoformat(timespec="milliseconds")
@@ -257,7 +275,7 @@ class SqliteLedger(LedgerReader):
                 (str(Result.INDETERMINATE), reason, open_.attempts, self._now(), open_.run_id, open_.target_id),
             )
         self.unclean_runs = ask("UPDATE runs SET end_reason = 'unclean' WHERE end_reason IS NULL").rowcount
-        if self.unclean_runs:
+        if self.unclean_runs or self.indeterminate:
             details = {"runs": self.unclean_runs, "targets": [open_.target_id for open_ in self.indeterminate]}
             self._insert_event("reconciled", self._clock.now(), details)
 

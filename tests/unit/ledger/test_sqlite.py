@@ -145,12 +145,28 @@ def test_records_cannot_be_changed_or_taken_away(ledger: SqliteLedger, table: st
         ledger._connection.execute(change.format(table))
 
 
-def test_nothing_is_recorded_outside_a_run(path: Path) -> None:
+def test_a_record_without_a_run_gets_one(path: Path) -> None:
     with opened(path, begin=False) as ledger:
-        with pytest.raises(RuntimeError, match="no run"):
-            ledger.intend("t1", plan("t1"), 1, 4.0)
         ledger.note("probe", 1.0)
-        assert ledger.counts()["targets"] == 0
+        ledger.intend("t1", plan("t1"), 1, 4.0)
+        assert [row["run_id"] for row in ledger.rows("intents")] == [1]
+        assert [row["software_version"] for row in ledger.rows("runs")] == [""]
+        assert [row["run_id"] for row in ledger.rows("events")] == [None]
+
+
+def test_closing_ends_the_run(path: Path) -> None:
+    opened(path).close()
+    with opened(path, begin=False) as again:
+        assert [row["end_reason"] for row in again.rows("runs")] == ["closed"]
+        assert again.unclean_runs == 0
+
+
+def test_closing_on_a_full_disk_is_quiet(path: Path) -> None:
+    ledger = opened(path)
+    ledger._connection.execute("PRAGMA query_only = ON")
+    ledger.close()
+    with opened(path, begin=False) as again:
+        assert again.unclean_runs == 1
 
 
 def test_the_same_name_in_another_run_is_another_target(ledger: SqliteLedger) -> None:
@@ -178,11 +194,12 @@ def test_events_keep_their_details(ledger: SqliteLedger) -> None:
 
 
 def test_what_a_run_left_open_is_settled_once(path: Path) -> None:
-    with opened(path) as ledger:
-        ledger.intend("t1", plan("t1"), 1, 4.0)
-        ledger.conclude(outcome("t1"))
-        ledger.intend("t2", plan("t2"), 1, 9.0)
-        ledger.intend("t2", plan("t2"), 2, 11.0)
+    ledger = opened(path)
+    ledger.intend("t1", plan("t1"), 1, 4.0)
+    ledger.conclude(outcome("t1"))
+    ledger.intend("t2", plan("t2"), 1, 9.0)
+    ledger.intend("t2", plan("t2"), 2, 11.0)
+    ledger._connection.close()  # what a killed process leaves to SQLite
     with opened(path, begin=False) as again:
         (open_,) = again.indeterminate
         assert (open_.run_id, open_.target_id, open_.label, open_.bin, open_.attempts) == (1, "t2", "nut", "left", 2)
