@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from controller import __version__
-from controller.cli import config, detect, run
+from controller.cli import calibrate, config, detect, run
 
 app = typer.Typer(
     name="controller",
@@ -36,4 +36,5 @@ def _options(
 
 app.command("run")(run.run)
 app.command("detect")(detect.detect)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(config.app, name="config")

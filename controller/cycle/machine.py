@@ -84,4 +84,9 @@ def diagram() -> str:
         graph_engine="mermaid",
     )
     lines = str(machine.get_graph().source).splitlines()
-    return "\n".join(line.rstrip() for line in lines if line.strip() and "lass" not in line and "state " not in line)
+    arrows = [line.rstrip() for line in lines if "-->" in line]
+    return "\n".join(["stateDiagram-v2", "  direction LR", *arrows])
+
+
+if __name__ == "__main__":
+    print(diagram())

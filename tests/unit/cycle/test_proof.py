@@ -1,0 +1,37 @@
+"""What the jaws' settled opening proves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.config.arm import load_arm
+from controller.cycle import proof
+from controller.domain import ArmState, Grasp, GripReport
+
+GRIPPER = load_arm("reactorx_150").gripper
+
+
+def grasp(width: float) -> Grasp:
+    return Grasp((0.0, 0.0), 15.0, 0.0, width, width + 8.0, 5.0)
+
+
+@pytest.mark.parametrize("width", [34.0, 45.0, 60.0])
+def test_jaws_that_reach_their_target_are_told_from_jaws_on_a_part(width: float) -> None:
+    target = proof.closing_target(grasp(width), GRIPPER)
+    assert target >= GRIPPER.opening[0]
+    assert proof.refusal(GripReport(True, False, target, 0.1), grasp(width)) is not None
+    assert proof.refusal(GripReport(True, True, width, 0.3), grasp(width)) is None
+
+
+@pytest.mark.parametrize("opening", [39.0, 51.0])
+def test_a_part_of_another_width_is_refused(opening: float) -> None:
+    assert "45.0 mm wide" in str(proof.refusal(GripReport(True, True, opening, 0.3), grasp(45.0)))
+
+
+def test_jaws_that_closed_on_the_way_have_lost_the_part() -> None:
+    def state(opening: float) -> ArmState:
+        return ArmState(0.0, np.zeros(5), np.zeros(5), opening, 0.3)
+
+    assert proof.lost(state(44.0), grasp(45.0)) is None
+    assert proof.lost(state(33.0), grasp(45.0)) is not None

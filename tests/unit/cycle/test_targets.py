@@ -1,0 +1,76 @@
+"""One part stays one target over its retries."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from controller.cycle.targets import TargetBook
+from controller.domain import Descriptors, Detection, Frame, LocatedObject, Shape
+
+FRAME = Frame(1, 0.0, np.zeros((4, 4, 3), np.uint8))
+
+
+def thing(x: float, y: float, shape: Shape = Shape.SQUARE, size: float = 40.0) -> LocatedObject:
+    outline = np.zeros((4, 2))
+    detection = Detection(
+        FRAME, shape, 1.0, outline, (0.0, 0.0), (size, size), 0.0, 1.0, (0.0, 0.0, 1.0, 1.0), Descriptors(1, 1, 0)
+    )
+    return LocatedObject(detection, (x, y), 0.0, (size, size), 20.0, outline, 0.1, "c")
+
+
+def test_a_nudged_part_keeps_its_target() -> None:
+    book = TargetBook()
+    target = book.choose(thing(0, 0), 1.0)
+    target.attempts = 1
+    named, gone = book.identify([thing(100, 0), thing(10, 5)])
+    assert [item.target_id for item in named] == ["", target.target_id]
+    assert gone == []
+    assert book.choose(named[1], 9.0) is target
+    assert target.located.center == (10, 5)
+    assert target.started_at == 1.0
+
+
+def test_another_shape_or_size_in_its_place_is_not_the_target() -> None:
+    for other in (thing(0, 0, Shape.CIRCLE), thing(0, 0, size=45.0)):
+        book = TargetBook()
+        book.choose(thing(0, 0), 1.0).attempts = 1
+        named, gone = book.identify([other])
+        assert named[0].target_id == ""
+        assert [target.target_id for target in gone] == ["t1"]
+
+
+def test_a_target_never_tried_is_not_missed_when_it_is_gone() -> None:
+    book = TargetBook()
+    book.choose(thing(0, 0), 1.0)
+    assert book.identify([])[1] == []
+
+
+def test_a_lost_part_is_found_again_only_where_nothing_lay_before() -> None:
+    book = TargetBook()
+    book.identify([thing(0, 0), thing(200, 0)])
+    target = book.choose(thing(0, 0), 1.0)
+    target.attempts, target.lost = 1, True
+    named, gone = book.identify([thing(200, 0), thing(90, 90)])
+    assert [item.target_id for item in named] == ["", "t1"]
+    assert gone == []
+    assert not target.lost
+
+
+def test_two_targets_never_share_an_object() -> None:
+    book = TargetBook()
+    for x in (0.0, 15.0):
+        book.choose(thing(x, 0), 1.0).attempts = 1
+    named, gone = book.identify([thing(7, 0)])
+    assert len(gone) == 1
+    assert sum(bool(item.target_id) for item in named) == 1
+
+
+def test_a_closed_target_is_forgotten() -> None:
+    book = TargetBook()
+    target = book.choose(thing(0, 0), 1.0)
+    book.close(target)
+    assert book.open == ()
+    again = book.choose(dataclasses.replace(thing(0, 0), target_id=target.target_id), 2.0)
+    assert again.target_id == "t2"
