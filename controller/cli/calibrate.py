@@ -19,7 +19,7 @@ from controller.vision.read import read_image
 
 app = typer.Typer(help="Measure lens and table from pictures of a printed board.", no_args_is_help=True)
 
-BoardSpec = Annotated[str, typer.Option(metavar="SPEC", help="The printed board, e.g. charuco:10x7:28:21:DICT_5X5_100.")]
+BoardSpec = Annotated[str, typer.Option(metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the calibration into FILE.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 
