@@ -1,0 +1,1 @@
+"""Localization: from an outline in pixels to a pose and a size in millimetres on the table."""

@@ -1,0 +1,207 @@
+"""Objects on the table from detections in a frame: position, direction, size, with a stated deviation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import CellCalibration, Detection, LocatedObject, Shape
+from controller.geometry import wrap
+from controller.localization.prism import Noise, PrismFit, Silhouette, bounding_size, footprint
+
+Array = NDArray[np.float64]
+
+#: Deviation of a silhouette's centroid on z = h/2 from the part's, as a share of its height: measured 0.01
+#: for centrally symmetric prisms and up to 0.05 for triangles, the worse taken.
+HALF_HEIGHT_SIGMA = 0.05
+#: Fewer outline points than this cannot carry a fit of six unknowns with anything left to judge it by.
+MIN_POINTS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a fit is refused.
+
+    Attributes:
+        inlier: A point within this distance of the silhouette agrees with it, px.
+        share: Least share of agreeing points.
+        edge: Largest median distance of any one edge's points, px: a side that lies elsewhere is a shadow,
+            a neighbour or another shape, even when all others fit.
+    """
+
+    inlier: float = 1.0
+    share: float = 0.8
+    edge: float = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """What became of the detections of one frame.
+
+    Attributes:
+        objects: Located ones, in the order of the detections.
+        refused: (detection, reason) of the others.
+    """
+
+    objects: tuple[LocatedObject, ...]
+    refused: tuple[tuple[Detection, str], ...]
+
+
+def locate(
+    detections: Sequence[Detection],
+    calibration: CellCalibration,
+    heights: Callable[[Detection], float],
+    *,
+    refine: bool = True,
+    noise: Noise | None = None,
+    limits: Limits | None = None,
+) -> Located:
+    """Pose and size on the table of every detection that a prism of its shape explains.
+
+    Args:
+        detections: Of one frame.
+        calibration: Of the cell; its camera must be the one that took the frame.
+        heights: Stated height of a detected part, mm.
+        refine: Fit a prism; otherwise the silhouette is taken on the plane z = h/2.
+        noise: What is known about outlines and heights.
+        limits: When a fit is refused.
+    """
+    known, bounds = noise or Noise(), limits or Limits()
+    objects: list[LocatedObject] = []
+    refused: list[tuple[Detection, str]] = []
+    for detection in detections:
+        found = _locate_one(detection, calibration, heights(detection), refine, known, bounds)
+        if isinstance(found, str):
+            refused.append((detection, found))
+        else:
+            objects.append(found)
+    return Located(tuple(objects), tuple(refused))
+
+
+def _locate_one(
+    detection: Detection, calibration: CellCalibration, height: float, refine: bool, noise: Noise, limits: Limits
+) -> LocatedObject | str:
+    if "cut_by_border" in detection.flags:
+        return "cut by the border of the picture"
+    if len(detection.outline_px) < MIN_POINTS:
+        return f"only {len(detection.outline_px)} outline points"
+    if detection.frame.size != calibration.camera.image_size:
+        return f"a picture of {detection.frame.size} px, calibrated at {calibration.camera.image_size}"
+    rough = _on_half_height(detection, calibration, height)
+    if rough is None:
+        return "its rays do not meet the table"
+    if not refine or detection.shape is Shape.OTHER:
+        return rough
+    fit = _fit(detection, calibration, rough, noise, limits)
+    reason = _objection(fit, limits)
+    if reason:
+        return reason
+    spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
+    return LocatedObject(
+        detection=detection,
+        center=fit.center,
+        yaw=fit.yaw,
+        size=bounding_size(detection.shape, fit.dimensions),
+        height=fit.height,
+        footprint=footprint(detection.shape, fit.center, fit.yaw, fit.dimensions),
+        sigma=math.sqrt(spread + calibration.sigma**2),
+        calibration_id=calibration.calibration_id,
+    )
+
+
+def _on_half_height(detection: Detection, calibration: CellCalibration, height: float) -> LocatedObject | None:
+    """The silhouette on the plane z = h/2, where parallax of top and foot cancel to first order."""
+    plane = calibration.plane(height / 2)
+    outline = plane.to_plane(detection.outline_px)
+    if not np.isfinite(outline).all():
+        return None
+    x, y = outline[:, 0], outline[:, 1]
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = cross.sum() / 2
+    if area < 0.0:
+        outline, area = outline[::-1], -area
+        x, y = outline[:, 0], outline[:, 1]
+        cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    if area < 1.0:
+        return None
+    center = (
+        float(((x + np.roll(x, -1)) * cross).sum() / (6 * area)),
+        float(((y + np.roll(y, -1)) * cross).sum() / (6 * area)),
+    )
+    _, sides, _ = cv2.minAreaRect((outline - center).astype(np.float32))
+    size = (float(max(sides)), float(min(sides)))
+    if detection.shape is Shape.CIRCLE:
+        size = (2 * math.sqrt(area / math.pi),) * 2
+    return LocatedObject(
+        detection=detection,
+        center=center,
+        yaw=_yaw(detection, calibration, height),
+        size=size,
+        height=height,
+        footprint=outline,
+        sigma=math.hypot(HALF_HEIGHT_SIGMA * height, calibration.sigma),
+        calibration_id=calibration.calibration_id,
+    )
+
+
+def _yaw(detection: Detection, calibration: CellCalibration, height: float) -> float | None:
+    """The detection's direction carried over to the table."""
+    period = detection.shape.period
+    if detection.angle is None or period is None:
+        return None
+    reach = max(detection.size_px) / 2
+    # Counter-clockwise as displayed: the image's y runs down.
+    ahead = reach * np.array([math.cos(detection.angle), -math.sin(detection.angle)])
+    ends = np.asarray(detection.center_px) + np.array([-ahead, ahead])
+    back, front = calibration.plane(height / 2).to_plane(ends)
+    return wrap(math.atan2(front[1] - back[1], front[0] - back[0]), period)
+
+
+def _fit(
+    detection: Detection, calibration: CellCalibration, rough: LocatedObject, noise: Noise, limits: Limits
+) -> PrismFit:
+    """The best prism from the detection's own direction, or from others when that one is not explained."""
+    shape, height = detection.shape, rough.height
+    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
+    period = shape.period
+    first = rough.yaw or 0.0
+    if shape is Shape.RECTANGLE:
+        dimensions: tuple[float, ...] = rough.size
+    elif shape is Shape.HEXAGON:
+        dimensions = (rough.size[0] / 2,)
+    elif shape is Shape.CIRCLE:
+        dimensions = (rough.size[0],)
+    else:
+        dimensions = ((rough.size[0] + rough.size[1]) / 2,)
+    best = silhouette.fit(shape, (*rough.center, first), dimensions, height, noise)
+    if period is None or _objection(best, limits) is None:
+        return best
+    for turn in (1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2):
+        other = silhouette.fit(shape, (*rough.center, first + turn * period), dimensions, height, noise)
+        best = min(best, other, key=lambda fit: fit.cost)
+    return best
+
+
+def _objection(fit: PrismFit, limits: Limits) -> str | None:
+    """Why a fit is not good enough, or None."""
+    distances = np.abs(fit.residuals)
+    share = float((distances <= limits.inlier).mean())
+    if share < limits.share:
+        return f"its outline is not this shape: {share:.0%} of it within {limits.inlier:g} px of the fit"
+    if fit.yaw is None:
+        worst = float(np.median(distances))
+    else:
+        medians = [
+            float(np.median(distances[mine]))
+            for edge in np.unique(fit.edges[fit.used])
+            if (mine := fit.used & (fit.edges == edge)).sum() >= 5
+        ]
+        worst = max(medians, default=math.inf)
+    if worst > limits.edge:
+        return f"one side lies {worst:.2f} px beside the fit"
+    return None
