@@ -217,6 +217,9 @@ class VirtualBus:
 
     def _targets(self, servo_id: int, now: float) -> list[VirtualServo]:
         """Everyone who obeys a write to this ID: its owner, its shadows, or all."""
+        if servo_id not in self._shadows and servo_id != BROADCAST:
+            owner = self._listening(servo_id, now)
+            return [owner] if owner else []
         if servo_id == BROADCAST:
             candidates: list[VirtualServo] = list(self._servos)
         else:

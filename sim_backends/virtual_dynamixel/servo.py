@@ -271,7 +271,7 @@ class VirtualServo:
         elif name in ("Drive_Mode", "Homing_Offset"):
             self._load_mode(reset_gains=False)
             self._settle()
-        elif name in ("Min_Position_Limit", "Max_Position_Limit", "PWM_Limit", "Shutdown"):
+        elif name in ("Min_Position_Limit", "Max_Position_Limit", "PWM_Limit", "Moving_Threshold"):
             self._load_mode(reset_gains=False)
         elif name in ("Goal_PWM", "Goal_Current", "Goal_Velocity") or name.endswith("_Gain"):
             if self._wakes_on_goal and name in _GOALS and not self._torque:
@@ -297,13 +297,15 @@ class VirtualServo:
         if self._mode not in _POSITION_MODES:
             return
         self._goal = float(value)
-        speed, ramp = self.table.get("Profile_Velocity"), self.table.get("Profile_Acceleration")
-        if not speed:
+        memory = self.table.memory
+        if not (memory[112] or memory[113]):  # Profile_Velocity, which fits in its low two bytes
             self._profile = None
-            self._loop.jump(self._goal - self._command)
-            self._command = self._goal
-            self._push()
+            if self._goal != self._command:
+                self._loop.jump(self._goal - self._command)
+                self._command = self._goal
+                self._push()
             return
+        speed, ramp = self.table.get("Profile_Velocity"), self.table.get("Profile_Acceleration")
         now = self._plant.now()
         velocity = self._profile.at(now)[1] if self._profile else 0.0
         if self._time_based:
@@ -331,6 +333,7 @@ class VirtualServo:
         self._time_based = bool(drive_mode & 4)
         self._wakes_on_goal = bool(drive_mode & 8)
         self._lowest, self._highest = table.get("Min_Position_Limit"), table.get("Max_Position_Limit")
+        self._still = table.get("Moving_Threshold")
         homing = table.get("Homing_Offset")
         # Position mode honours one quarter turn of Homing_Offset. Assumption: a larger one counts as none.
         self._homing = homing if self._mode != POSITION_MODE or abs(homing) <= 1024 else 0
@@ -493,7 +496,7 @@ class VirtualServo:
             else:
                 current = round(1000 * pwm / PWM_FULL)
         trajectory_velocity = self._profile.at(now)[1] if self._profile else 0.0
-        moving = self._profile is not None or abs(velocity) > self.table.get("Moving_Threshold")
+        moving = self._profile is not None or abs(velocity) > self._still
         status = 0
         if self._torque and self._mode in _POSITION_MODES:
             status = int(abs(self._goal - position) <= IN_POSITION)

@@ -1,0 +1,213 @@
+"""The simulated bus on a pseudo-terminal, in real time: any program may open it like a USB adapter.
+
+One thread owns the plant: it lets simulated time follow the wall clock, hears what the client writes, and
+hands every answer over when its last byte would have arrived. POSIX only; import it where it is needed.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import TypeVar
+
+from sim_backends.virtual_dynamixel.bus import BAUD_RATES, VirtualBus
+
+T = TypeVar("T")
+
+TICK = 0.004
+"""s; physics follows the wall clock at least so often, and exactly whenever bytes arrive."""
+LONGEST_STEP = 0.02
+"""s of physics between two looks at the line, so that a machine that fell behind still answers."""
+GIVE_UP = 0.25
+"""s the physics may lag behind the wall clock before simulated time slips instead of catching up."""
+
+_BAUD = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES if hasattr(termios, f"B{rate}")}
+
+
+class PtyBus:
+    """Serves a bus on a pseudo-terminal.
+
+    A client that sets another bit rate than the servos' hears nothing, as on metal. When the adapter is
+    unplugged (`Fault.DISCONNECT`) the terminal hangs up; plugged in again (`VirtualBus.heal`), a new one appears
+    under the same link.
+
+    Args:
+        bus: What to serve; after `start` only this object's thread may touch it or its plant: use `call`.
+        link: Symbolic link to keep pointing at the terminal, which changes its name when it is replugged.
+    """
+
+    def __init__(self, bus: VirtualBus, link: Path | None = None) -> None:
+        self._bus = bus
+        self._plant = bus.plant
+        self._link = link
+        self._master = self._slave = -1
+        self._terminal = ""
+        self._replies: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._wake_in, self._wake_out = -1, -1
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._offset = 0.0
+        self.slipped = 0.0
+        """s of simulated time given up because the machine was too slow."""
+
+    @property
+    def path(self) -> str:
+        """What a client opens: the link, or the terminal itself."""
+        return str(self._link) if self._link else self._terminal
+
+    @property
+    def offset(self) -> float:
+        """Monotonic wall clock minus the plant's time, s."""
+        return self._offset
+
+    # --- life ---------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the terminal and serve it in a thread until `stop`; returns when a client may open it."""
+        self._wake_out, self._wake_in = os.pipe()
+        self._plug()
+        self._stopping.clear()
+        self._offset = time.monotonic() - self._plant.now()
+        self._thread = threading.Thread(target=self._run, name="virtual-bus", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Hang up, remove the link and end the thread; harmless when not started."""
+        if self._thread is None:
+            return
+        self._stopping.set()
+        self._wake()
+        self._thread.join()
+        self._thread = None
+        self._unplug()
+        os.close(self._wake_out)
+        os.close(self._wake_in)
+
+    def __enter__(self) -> PtyBus:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
+        """Run a function in the thread that owns the plant, between two steps, and return what it returns.
+
+        Blocks the caller until then; what the function raises is raised here.
+        """
+        future: Future[T] = Future()
+
+        def job() -> None:
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+
+        self._jobs.put(job)
+        self._wake()
+        return future.result(timeout)
+
+    def _wake(self) -> None:
+        os.write(self._wake_in, b"!")
+
+    def _plug(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._terminal = os.ttyname(self._slave)
+        if self._link:
+            fresh = self._link.with_name(f".{self._link.name}.new")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(self._terminal)
+            fresh.replace(self._link)
+
+    def _unplug(self) -> None:
+        if self._master < 0:
+            return
+        os.close(self._slave)
+        os.close(self._master)
+        self._master = self._slave = -1
+        self._replies.clear()
+        if self._link:
+            self._link.unlink(missing_ok=True)
+
+    # --- the thread ---------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            readable = self._wait()
+            self._follow(time.monotonic())
+            if self._wake_out in readable:
+                os.read(self._wake_out, 4096)
+                self._work()
+            if self._master in readable:
+                self._hear()
+            self._deliver()
+            if self._bus.connected != (self._master >= 0):
+                if self._bus.connected:
+                    self._plug()
+                else:
+                    self._unplug()
+
+    def _wait(self) -> list[int]:
+        """Sleep until bytes or a job arrive, an answer is due, or a tick has passed."""
+        due = self._plant.now() + TICK
+        if self._replies:
+            due = min(due, self._replies[0][0])
+        timeout = max(0.0, due + self._offset - time.monotonic())
+        watched = [self._wake_out] if self._master < 0 else [self._master, self._wake_out]
+        return select.select(watched, [], [], timeout)[0]
+
+    def _follow(self, wall: float) -> None:
+        """Let the plant catch up with the wall clock, a short stretch at most."""
+        behind = wall - self._offset - self._plant.now()
+        if behind > GIVE_UP:
+            self._offset += behind
+            self.slipped += behind
+            return
+        if behind > 0.0:
+            self._plant.advance(min(behind, LONGEST_STEP))
+
+    def _work(self) -> None:
+        while True:
+            try:
+                job = self._jobs.get_nowait()
+            except Empty:
+                return
+            job()
+
+    def _hear(self) -> None:
+        try:
+            data = os.read(self._master, 4096)
+        except OSError:
+            return
+        rate = _BAUD.get(termios.tcgetattr(self._slave)[5])
+        if rate is not None:
+            self._bus.host_baud = rate
+        for arrival, packet in self._bus.handle(data, self._plant.now()):
+            heapq.heappush(self._replies, (arrival, self._count, packet))
+            self._count += 1
+
+    def _deliver(self) -> None:
+        now = time.monotonic() - self._offset
+        while self._replies and self._replies[0][0] <= now:
+            data = heapq.heappop(self._replies)[2]
+            if self._master >= 0:
+                try:
+                    os.write(self._master, data)
+                except BlockingIOError:
+                    continue  # nobody reads: a serial port's buffer would overrun too
