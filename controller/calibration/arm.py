@@ -68,6 +68,12 @@ class ArmCalibration:
         return {**_content(self), "calibration_id": self.calibration_id}
 
 
+def by_ruler(T_base_table: Array, camera_id: str, table_id: str, arm: str) -> ArmCalibration:
+    """An arm that was placed by ruler and never looked at: zero offsets, zero points."""
+    none = Residual(0.0, 0.0, 0.0)
+    return named(ArmCalibration("", camera_id, table_id, arm, T_base_table, {}, np.eye(4), none, 0))
+
+
 def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
     """An arm calibration from its JSON object; `where` names it in errors.
 

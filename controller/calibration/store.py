@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from controller.calibration import files
-from controller.calibration.arm import ArmCalibration, arm_from_json
+from controller.calibration.arm import ArmCalibration, arm_from_json, by_ruler
 from controller.calibration.camera import CameraCalibration, camera_from_json
 from controller.calibration.table import TableCalibration, table_from_json
-from controller.domain import CellCalibration
+from controller.domain import Array, CellCalibration
 from controller.errors import CalibrationMissing, CalibrationStale, InputError
 
 CAMERA, TABLE, ARM = "camera.json", "table.json", "arm.json"
@@ -109,6 +109,29 @@ def save(
         files.write(folder / TABLE, table.own_json() | extra)
     if arm is not None:
         files.write(folder / ARM, arm.to_json() | extra)
+
+
+def save_calibration(
+    folder: Path,
+    camera: CameraCalibration,
+    table: TableCalibration,
+    T_base_table: Array,
+    *,
+    arm: str = "",
+    provenance: Mapping[str, str] | None = None,
+) -> None:
+    """Write a calibration whose arm was only placed by ruler: no joint offsets, and no points to vouch for it.
+
+    Args:
+        folder: Made when it is not there.
+        camera: The lens.
+        table: The table.
+        T_base_table: ndarray of shape (4, 4), maps `table` into `base`, as measured by ruler.
+        arm: Name of the arm's description.
+        provenance: See `save`.
+    """
+    placed = by_ruler(T_base_table, camera.calibration_id, table.calibration_id, arm)
+    save(folder, camera=camera, table=table, arm=placed, provenance=provenance)
 
 
 def load(folder: Path) -> StoredCalibration:

@@ -168,7 +168,7 @@ class Silhouette:
         rows = jacobian[:, free] * weights[:, None]
         normal = rows.T @ rows
         normal[-1, -1] += 1.0 / noise.height**2
-        covariance: Array = np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))[:2, :2]
+        covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))[:2, :2], np.float64)
         sides = tuple(float(d) for d in parameters[3:-1])
         yaw: float | None = float(parameters[2])
         if shape is Shape.RECTANGLE and sides[1] > sides[0]:
