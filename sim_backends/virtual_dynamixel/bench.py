@@ -9,11 +9,9 @@ from sim_backends.plant import Drive, Shaft
 
 
 class _Wheel:
-    __slots__ = ("angle", "bias", "damping", "high", "limit", "low", "stiffness", "target", "torque", "velocity")
-
     def __init__(self) -> None:
         self.angle = self.velocity = self.torque = 0.0
-        self.low, self.high = -math.inf, math.inf
+        self.low, self.high, self.load = -math.inf, math.inf, 0.0
         self.target = self.stiffness = self.damping = self.bias = self.limit = 0.0
 
 
@@ -56,7 +54,7 @@ class IdealPlant:
         dt, inertia = self._dt, self._inertia
         motor = wheel.stiffness * (wheel.target - wheel.angle) + wheel.bias
         motor = max(-wheel.limit, min(wheel.limit, motor))
-        velocity = (wheel.velocity + dt / inertia * motor) / (1.0 + dt / inertia * wheel.damping)
+        velocity = (wheel.velocity + dt / inertia * (motor + wheel.load)) / (1.0 + dt / inertia * wheel.damping)
         angle = wheel.angle + dt * velocity
         if not wheel.low <= angle <= wheel.high:
             angle = max(wheel.low, min(wheel.high, angle))
@@ -88,3 +86,7 @@ class IdealPlant:
         """Turn a shaft by hand to `angle`, rad, at rest."""
         wheel = self._wheels[servo_id]
         wheel.angle, wheel.velocity = angle, 0.0
+
+    def load(self, servo_id: int, torque: float) -> None:
+        """Hang a constant torque on a shaft, Nm."""
+        self._wheels[servo_id].load = torque
