@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from controller.domain import Descriptors, Detection, Frame, Shape
 from controller.geometry import PlaneMap, wrap
+from controller.vision.morphology import Component
 from controller.vision.precise import Found, search
-from controller.vision.recipe import Recipe
+from controller.vision.recipe import Ranges, Recipe
+from controller.vision.stages import classified, margin, run_stages
 from controller.vision.timing import Stopwatch
 
 Floats = NDArray[np.float64]
@@ -41,7 +43,7 @@ def detect(
     region: NDArray[np.uint8] | None = None,
     trace: dict[str, NDArray[np.generic]] | None = None,
 ) -> Detected:
-    """Objects in a frame; an empty table gives an empty tuple. Raises nothing on any picture.
+    """Objects in a frame; an empty table gives an empty tuple.
 
     Args:
         frame: The frame.
@@ -50,15 +52,22 @@ def detect(
         background: ndarray of shape (H, W, 3), dtype uint8: the same view of the empty table.
         region: ndarray of shape (H, W), dtype uint8: only objects whose centre lies where it is not 0 are returned.
         trace: Receives the image after every stage by its name.
+
+    Raises:
+        InputError: The recipe needs a picture of the empty table and got none of this size.
     """
     watch = Stopwatch()
     image = frame.image
     if min(image.shape[:2]) < 8:
         return Detected((), watch.result())
-    found = search(
-        image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
-    )
-    detections = [_detection(frame, item) for item in found]
+    if recipe.method == "stages":
+        mask = run_stages(image, recipe.stages, background=background, trace=trace, watch=watch)
+        detections = [_component(frame, *item, recipe.ranges) for item in classified(mask, recipe.ranges)]
+    else:
+        found = search(
+            image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
+        )
+        detections = [_detection(frame, item) for item in found]
     if region is not None:
         detections = [item for item in detections if _inside(region, item.center_px)]
     detections.sort(key=lambda item: (item.center_px[1], item.center_px[0]))
@@ -100,6 +109,37 @@ def _detection(frame: Frame, found: Found) -> Detection:
         ),
         label=str(found.shape),
         flags=found.flags,
+    )
+
+
+def _component(
+    frame: Frame,
+    item: Component,
+    values: Descriptors,
+    shape: Shape,
+    outline: Floats,
+    covered: float,
+    ranges: Ranges,
+) -> Detection:
+    """What a recipe of stages says of one component: the toolbox's measures, the ellipse's orientation."""
+    (_, (w, h), _) = cv2.minAreaRect(outline.astype(np.float32))
+    x, y, wide, high = item.bbox
+    width, height = frame.size
+    cut = x < 0.0 or y < 0.0 or x + wide > width - 1 or y + high > height - 1
+    return Detection(
+        frame=frame,
+        shape=shape,
+        score=margin(values, shape, ranges),
+        outline_px=counter_clockwise(outline),
+        center_px=item.centroid,
+        # Boundary pixels are centres: half a pixel is missing on every side.
+        size_px=(max(w, h) + 1.0, min(w, h) + 1.0),
+        angle=math.radians(item.orientation),
+        area_px=covered,
+        bbox_px=item.bbox,
+        descriptors=values,
+        label=str(shape),
+        flags=frozenset({"cut_by_border"} if cut else ()),
     )
 
 

@@ -79,12 +79,11 @@ def local_maps(centers: Floats, reach: Floats, plane: PlaneMap | None) -> LocalM
         return LocalMaps(centers, None, reach, empty, np.ones(count), np.zeros((count, 2)))
     grid = centers[:, None] + _GRID * reach[:, None, None]
     on_plane = plane.to_plane(grid.reshape(-1, 2)).reshape(count, -1, 2)
-    coefficients = _SOLVE @ np.nan_to_num(on_plane)
+    coefficients = np.asarray(_SOLVE @ np.nan_to_num(on_plane), np.float64)
     origin = coefficients[:, 0].copy()
     # Rows 1 and 4 are d/dy and d/dx: their determinant is the local scale.
     det = np.abs(coefficients[:, 4, 0] * coefficients[:, 1, 1] - coefficients[:, 4, 1] * coefficients[:, 1, 0])
-    scale = np.sqrt(np.maximum(det, 1e-12)) / reach
-    # Pixels run y down and the table y up: mirror the plane's y so that the turn sense of the image is kept.
+    scale = np.asarray(np.sqrt(np.maximum(det, 1e-12)) / reach, np.float64)
     coefficients[:, 0] = 0.0
     coefficients /= scale[:, None, None]
     return LocalMaps(centers, plane, reach, coefficients, scale, origin)

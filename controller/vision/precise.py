@@ -158,10 +158,10 @@ class _Hypothesis:
 
 def _fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> list[list[_Hypothesis]]:
     """For every region, its fits to all families, best first."""
-    starts = {family.shape: [] for family in FAMILIES.values()}
+    starts: dict[Shape, list[Floats]] = {shape: [] for shape in FAMILIES}
     for hull in hulls:
-        for family, q in _starts(hull).items():
-            starts[family].append(q)
+        for shape, start in _starts(hull).items():
+            starts[shape].append(start)
     relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
     relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0)
     out: list[list[_Hypothesis]] = [[] for _ in hulls]

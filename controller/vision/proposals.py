@@ -97,7 +97,7 @@ def _edge_regions(edges: Floats32, smallest: float) -> list[Region]:
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     found = []
     for region in _contours(mask, smallest, "edge"):
-        hull = cv2.convexHull(region.contour)[:, 0]
+        hull = np.asarray(cv2.convexHull(region.contour)[:, 0], np.float32)
         area = float(cv2.contourArea(hull))
         found.append(Region(hull, area, "edge", 1.0))
     return found
@@ -131,7 +131,8 @@ def split_necks(region: Region, smallest: float, depth: int = 2) -> list[Region]
     if len(hull) < 4:
         return []
     hull = np.sort(hull, axis=0)[::-1]
-    defects = cv2.convexityDefects(contour, hull)
+    # OpenCV's stub leaves out that there may be none.
+    defects: NDArray[np.int32] | None = cv2.convexityDefects(contour, hull)
     if defects is None:
         return []
     size = np.sqrt(region.area)

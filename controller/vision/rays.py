@@ -74,8 +74,8 @@ def _peaks(strength: Floats32, t: Floats, centers: Floats) -> tuple[Floats, Floa
     is_peak = (middle > low) & (middle >= high)
     score = np.where(is_peak, middle, 0.0)
     order = np.argpartition(-score, CHOICES - 1, axis=2)[:, :, :CHOICES]
-    k, r = np.indices(order.shape[:2], sparse=True)
-    k, r = k[..., None], r[..., None]
+    k = np.arange(order.shape[0])[:, None, None]
+    r = np.arange(order.shape[1])[:, None]
     weight = score[k, r, order]
     a, b, c = low[k, r, order], middle[k, r, order], high[k, r, order]
     bend = a - 2.0 * b + c

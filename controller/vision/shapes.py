@@ -116,7 +116,7 @@ def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: F
     size = np.sqrt(np.maximum(area(family, q), 1.0))
     eye = np.eye(family.parameters)
     for step in range(rounds):
-        point, strength, distance, jacobian = _nearest(family, q, edges, weight)
+        strength, distance, jacobian = _nearest(family, q, edges, weight)
         width = np.maximum(scale, 0.25 * size * 0.5**step)
         ratio = np.clip(distance / (3.0 * width[:, None]), -1.0, 1.0)
         w = strength * (1.0 - ratio**2) ** 2
@@ -134,11 +134,11 @@ def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: F
 
 def edge_residuals(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Signed distance (K, M) of each ray's nearest edge from the outline, and that edge's weight (K, M)."""
-    _, strength, distance, _ = _nearest(family, q, edges, weight)
+    strength, distance, _ = _nearest(family, q, edges, weight)
     return distance, strength
 
 
-def _nearest(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _nearest(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
     count, rays, choices = weight.shape
     distance, jacobian, _ = signed_distance(family, q, edges.reshape(count, rays * choices, 2))
     distance = distance.reshape(count, rays, choices)
@@ -146,7 +146,7 @@ def _nearest(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[
     best = cost.argmin(axis=2)
     k, m = np.indices(best.shape, sparse=True)
     jacobian = jacobian.reshape(count, rays, choices, -1)[k, m, best]
-    return edges[k, m, best], weight[k, m, best], distance[k, m, best], jacobian
+    return weight[k, m, best], distance[k, m, best], jacobian
 
 
 def area(family: Family, q: Floats) -> Floats:
