@@ -47,7 +47,8 @@ class PtyBus:
     """
 
     def __init__(self, bus: VirtualBus, link: Path | None = None) -> None:
-        self._bus = bus
+        self.bus = bus
+        """The bus it serves."""
         self._plant = bus.plant
         self._link = link
         self._master = self._slave = -1
@@ -157,8 +158,8 @@ class PtyBus:
             if self._master in readable:
                 self._hear()
             self._deliver()
-            if self._bus.connected != (self._master >= 0):
-                if self._bus.connected:
+            if self.bus.connected != (self._master >= 0):
+                if self.bus.connected:
                     self._plug()
                 else:
                     self._unplug()
@@ -197,8 +198,8 @@ class PtyBus:
             return
         rate = _BAUD.get(termios.tcgetattr(self._slave)[5])
         if rate is not None:
-            self._bus.host_baud = rate
-        for arrival, packet in self._bus.handle(data, self._plant.now()):
+            self.bus.host_baud = rate
+        for arrival, packet in self.bus.handle(data, self._plant.now()):
             heapq.heappush(self._replies, (arrival, self._count, packet))
             self._count += 1
 

@@ -1,0 +1,144 @@
+"""The vendor's unmodified SDK as a client of the simulated bus on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from dynamixel_sdk import (
+    COMM_SUCCESS,
+    GroupBulkRead,
+    GroupBulkWrite,
+    GroupSyncRead,
+    GroupSyncWrite,
+    PacketHandler,
+    PortHandler,
+)
+
+if sys.platform == "win32":
+    pytest.skip("pseudo-terminals are POSIX", allow_module_level=True)
+
+from sim_backends.virtual_dynamixel import Fault, ServoSpec, VirtualBus
+from sim_backends.virtual_dynamixel.bench import IdealPlant
+from sim_backends.virtual_dynamixel.pty import PtyBus
+
+IDS = (1, 2, 3, 4, 5)
+ATTEMPTS = 3
+"""A busy machine may hold up either side for longer than the SDK waits; a real defect fails every time."""
+
+
+@pytest.fixture(params=[57_600, 1_000_000, 4_000_000])
+def baud(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture
+def served(baud: int) -> Iterator[PtyBus]:
+    specs = [ServoSpec(servo_id, "XM430-W350", (("Return_Delay_Time", 0),)) for servo_id in IDS]
+    with PtyBus(VirtualBus(IdealPlant(IDS), specs, baud=baud)) as served_:
+        yield served_
+
+
+@pytest.fixture
+def port(served: PtyBus, baud: int) -> Iterator[PortHandler]:
+    port_ = PortHandler(served.path)
+    assert port_.openPort()
+    assert port_.setBaudRate(baud)
+    yield port_
+    port_.closePort()
+
+
+packets = PacketHandler(2.0)
+
+
+def test_ping_and_broadcast_ping(port: PortHandler) -> None:
+    assert packets.ping(port, 3) == (1020, COMM_SUCCESS, 0)
+    found, result = packets.broadcastPing(port)
+    assert result == COMM_SUCCESS
+    assert sorted(found) == list(IDS)
+
+
+def test_registers_one_by_one(port: PortHandler) -> None:
+    assert packets.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
+    assert packets.write1ByteTxRx(port, 1, 9, 5) == (COMM_SUCCESS, 7)
+    assert packets.read4ByteTxRx(port, 1, 132) == (2048, COMM_SUCCESS, 0)
+    assert packets.regWriteTxRx(port, 1, 65, 1, [1]) == (COMM_SUCCESS, 0)
+    assert packets.action(port, 0xFE) == COMM_SUCCESS
+    assert packets.read1ByteTxRx(port, 1, 65)[0] == 1
+    assert packets.clearMultiTurn(port, 2) == (COMM_SUCCESS, 0)
+    assert packets.reboot(port, 1) == (COMM_SUCCESS, 0)
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_sync_read_and_write(port: PortHandler, fast: bool) -> None:
+    write = GroupSyncWrite(port, packets, 112, 4)
+    read = GroupSyncRead(port, packets, 112, 4)
+    for servo_id in IDS:
+        write.addParam(servo_id, [servo_id, 1, 0, 0])
+        read.addParam(servo_id)
+    assert write.txPacket() == COMM_SUCCESS
+    assert COMM_SUCCESS in (read.fastSyncRead() if fast else read.txRxPacket() for _ in range(ATTEMPTS))
+    assert [read.getData(servo_id, 112, 4) for servo_id in IDS] == [256 + servo_id for servo_id in IDS]
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_bulk_read_and_write(port: PortHandler, fast: bool) -> None:
+    write = GroupBulkWrite(port, packets)
+    read = GroupBulkRead(port, packets)
+    write.addParam(1, 65, 1, [1])
+    write.addParam(2, 108, 4, [7, 0, 0, 0])
+    read.addParam(1, 65, 1)
+    read.addParam(2, 108, 4)
+    assert write.txPacket() == COMM_SUCCESS
+    assert COMM_SUCCESS in (read.fastBulkRead() if fast else read.txRxPacket() for _ in range(ATTEMPTS))
+    assert (read.getData(1, 65, 1), read.getData(2, 108, 4)) == (1, 7)
+
+
+@pytest.mark.parametrize("baud", [1_000_000], indirect=True)
+def test_another_baud_rate_is_met_with_silence(served: PtyBus, port: PortHandler) -> None:
+    assert port.setBaudRate(57_600)
+    assert packets.ping(port, 1)[1] != COMM_SUCCESS
+    assert port.setBaudRate(1_000_000)
+    assert packets.ping(port, 1)[1] == COMM_SUCCESS
+
+
+@pytest.mark.parametrize("baud", [1_000_000], indirect=True)
+def test_time_follows_the_wall_clock_and_jobs_run_in_between(served: PtyBus) -> None:
+    first = served.call(lambda: served.bus.plant.now())
+    later = served.call(lambda: served.bus.plant.now())
+    assert later > first
+    with pytest.raises(KeyError):
+        served.call(lambda: served.bus.servo(99))
+
+
+@pytest.mark.parametrize("baud", [1_000_000], indirect=True)
+def test_unplugging_hangs_up_and_replugging_returns_under_the_same_link(tmp_path: Path, baud: int) -> None:
+    link = tmp_path / "servo-bus"
+    bus = VirtualBus(IdealPlant(IDS), [ServoSpec(1, "XL430-W250")], baud=baud)
+    with PtyBus(bus, link=link) as served:
+        assert served.path == str(link)
+        line = os.open(link, os.O_RDWR | os.O_NOCTTY)
+        served.call(lambda: bus.strike(Fault.DISCONNECT))
+        served.call(lambda: None)  # the loop has gone round and hung up
+        assert not link.exists()
+        assert read_end(line) == b""
+        os.close(line)
+        served.call(bus.heal)
+        served.call(lambda: None)
+        port = PortHandler(str(link))
+        assert port.openPort()
+        assert port.setBaudRate(baud)
+        assert packets.ping(port, 1)[1] == COMM_SUCCESS
+        port.closePort()
+    assert not link.is_symlink()
+
+
+def read_end(line: int) -> bytes:
+    """What a read of a hung-up terminal gives: nothing, or EIO where the system says so."""
+    try:
+        return os.read(line, 1)
+    except OSError:
+        return b""
