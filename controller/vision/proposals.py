@@ -7,6 +7,7 @@ soft one no edges), so that their regions are all proposed and the fit decides b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -132,7 +133,7 @@ def split_necks(region: Region, smallest: float, depth: int = 2) -> list[Region]
         return []
     hull = np.sort(hull, axis=0)[::-1]
     # OpenCV's stub leaves out that there may be none.
-    defects: NDArray[np.int32] | None = cv2.convexityDefects(contour, hull)
+    defects: Any = cv2.convexityDefects(contour, hull)
     if defects is None:
         return []
     size = np.sqrt(region.area)
