@@ -1,8 +1,14 @@
-"""The simulated bus as a serial port in the same process, on simulated time."""
+"""The simulated bus as a serial port in the same process, on simulated time.
+
+A plant may tell the time in whole steps only. The stream keeps the time on the line itself, so that bytes
+follow each other by microseconds however coarse the plant is.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from itertools import pairwise
 
 from controller.errors import BusError
 from sim_backends.virtual_dynamixel.bus import BAUD_RATES, VirtualBus
@@ -25,6 +31,7 @@ class BusStream:
         self._open = False
         self._coming: deque[tuple[float, bytes]] = deque()
         self._arrived = b""
+        self._time = -math.inf
 
     @property
     def name(self) -> str:
@@ -59,10 +66,12 @@ class BusStream:
             BusError: code `lost`.
         """
         self._check("write")
-        replies = self._bus.handle(data, self._plant.now())
+        replies = self._bus.handle(data, self._now())
         if replies:
+            in_order = all(early[0] <= late[0] for early, late in pairwise(replies))
+            in_order = in_order and (not self._coming or self._coming[-1][0] <= replies[0][0])
             self._coming.extend(replies)
-            if any(late > early for (late, _), (early, _) in zip(self._coming, list(self._coming)[1:], strict=False)):
+            if not in_order:
                 self._coming = deque(sorted(self._coming, key=lambda reply: reply[0]))
 
     def read(self, size: int, timeout: float) -> bytes:
@@ -72,17 +81,14 @@ class BusStream:
             BusError: code `lost`.
         """
         self._check("read")
-        now = self._plant.now()
-        self._take(now)
-        if not self._arrived:
-            arrival = self._coming[0][0] if self._coming else float("inf")
-            if arrival <= now + timeout:
-                self._plant.advance(arrival - now)
-                self._take(arrival)
-            elif timeout > 0.0:
-                self._plant.advance(timeout)
-                self._check("read")
-                return b""
+        self._take(self._now())
+        if not self._arrived and timeout > 0.0:
+            arrival = self._coming[0][0] if self._coming else math.inf
+            until = min(arrival, self._time + timeout)
+            self._plant.advance(until - self._time)
+            self._time = until
+            self._check("read")
+            self._take(until)
         data, self._arrived = self._arrived[:size], self._arrived[size:]
         return data
 
@@ -93,8 +99,12 @@ class BusStream:
             BusError: code `lost`.
         """
         self._check("discard input")
-        self._take(self._plant.now())
+        self._take(self._now())
         self._arrived = b""
+
+    def _now(self) -> float:
+        self._time = max(self._time, self._plant.now())
+        return self._time
 
     def _take(self, now: float) -> None:
         coming = self._coming

@@ -107,8 +107,8 @@ def test_another_baud_rate_is_met_with_silence(served: PtyBus, port: PortHandler
 
 @pytest.mark.parametrize("baud", [1_000_000], indirect=True)
 def test_time_follows_the_wall_clock_and_jobs_run_in_between(served: PtyBus) -> None:
-    first = served.call(lambda: served.bus.plant.now())
-    later = served.call(lambda: served.bus.plant.now())
+    first = served.call(served.bus.plant.now)
+    later = served.call(served.bus.plant.now)
     assert later > first
     with pytest.raises(KeyError):
         served.call(lambda: served.bus.servo(99))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -333,6 +334,25 @@ def test_the_stream_is_a_byte_stream_and_exclusive() -> None:
     with pytest.raises(BusError) as caught:
         stream.open(1234)
     assert caught.value.code == "refused"
+
+
+class CoarsePlant(IdealPlant):
+    """Tells the time in whole steps of 2 ms, like a physics engine."""
+
+    def now(self) -> float:
+        return math.floor(super().now() / 0.002 + 1e-9) * 0.002
+
+
+def test_a_coarse_plant_still_has_a_fine_wire() -> None:
+    plant = CoarsePlant(IDS)
+    bus = VirtualBus(plant, [ServoSpec(servo_id, "XM430-W350", (("Return_Delay_Time", 0),)) for servo_id in IDS])
+    stream = BusStream(bus)
+    stream.open(1_000_000)
+    for _ in range(50):
+        stream.write(sync_read())
+        assert len(b"".join(stream.read(4096, 0.01) for _ in IDS)) == 105
+    # 50 requests of 19 and answers of 105 bytes; the plant has seen all whole steps in it.
+    assert IdealPlant.now(plant) == pytest.approx(50 * 124 * BYTE, abs=1e-6)
 
 
 def test_reading_nothing_takes_exactly_the_timeout() -> None:
