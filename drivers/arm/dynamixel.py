@@ -1,0 +1,230 @@
+"""The `Arm` port over Dynamixel X servos: bring-up, streamed moves, grips, stops.
+
+One thread moves the arm and owns the bus while it does; `request_stop` may come from anywhere. Moves are
+streamed with the servos' own profiles off, so that the path is the planner's and can be slowed at any point.
+While anything moves the servos' Bus Watchdog is armed: they stop by themselves when this process dies.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from controller.domain import ArmDescription, ArmState, GripReport, MoveReport, Trajectory
+from controller.errors import ArmError, LimitViolation
+from controller.ports import ByteStream, Clock
+from drivers.arm import bring_up
+from drivers.arm.body import Body
+from drivers.arm.bus import Bus, Identity
+from drivers.arm.conversions import angle_from_ticks, ticks_from_angle
+from drivers.arm.following import Follower, check_start, check_trajectory
+from drivers.arm.gripping import move_jaws
+from drivers.arm.servos import TELEMETRY, read_telemetry_surely
+
+
+class DynamixelArm:
+    """An arm of Dynamixel X servos.
+
+    Args:
+        description: What kind of arm it is.
+        stream: The line to its bus.
+        clock: Time.
+
+    Attributes:
+        bus: The bus, for diagnosis while nothing moves.
+        inventory: What every servo said at `open`, by ID.
+        changed: EEPROM registers that `open` had to change, for people.
+    """
+
+    def __init__(self, description: ArmDescription, stream: ByteStream, clock: Clock) -> None:
+        self.bus = Bus(stream, clock, baud=description.baud)
+        self.inventory: dict[int, Identity] = {}
+        self.changed: tuple[str, ...] = ()
+        self._body = Body(description, self.bus, clock)
+        self._energised = False
+        self._held = False
+        self._stops = 0
+        self._mover: int | None = None
+        self._moving = threading.Lock()
+
+    @property
+    def description(self) -> ArmDescription:
+        """What kind of arm this is."""
+        return self._body.description
+
+    # --- start and end --------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Connect, check every servo and set it up. Moves nothing.
+
+        A servo that holds torque keeps it, so that an arm left standing does not fall, unless its EEPROM has
+        to be changed. May be called again after a loss.
+
+        Raises:
+            BusError: The port or a servo does not answer, or is another model than described.
+            ServoFault: A servo reports a hardware error.
+        """
+        self.close()
+        self.bus.open()
+        servos = self._body.servos
+        try:
+            self.inventory = bring_up.take_inventory(self.bus, servos)
+            self._body.state("open")
+            self.changed = bring_up.configure(self.bus, servos)
+            self.bus.probe_fast([servo.servo_id for servo in servos], *TELEMETRY)
+        except BaseException:
+            self.bus.close()
+            raise
+
+    def close(self) -> None:
+        """Disconnect; harmless when not open. Torque is left as it is."""
+        self.bus.close()
+        self._energised = False
+
+    def energise(self) -> ArmState:
+        """Torque on where the arm stands.
+
+        Raises:
+            BusError: A servo does not answer or refuses.
+            ServoFault: A servo reports a hardware error.
+            ArmError: A joint stands outside its limits.
+        """
+        body = self._body
+        with self._exclusive("energise"):
+            found = read_telemetry_surely(self.bus, body.servos, "energise")
+            ticks = {servo_id: ticks_from_angle(telemetry.position) for servo_id, telemetry in found.items()}
+            bring_up.torque_on(self.bus, body.servos, ticks)
+            goals = [self.bus.read_register(joint.servo_id, "Goal_Position") for joint in body.joints]
+            body.goals = np.array([angle_from_ticks(goal) for goal in goals])
+            self._energised = True
+            return body.state()
+
+    def relax(self) -> None:
+        """Torque off at every servo, whatever single servos answer. The arm may sink.
+
+        Raises:
+            BusError: The port is lost, or (after all have been told) a servo did not confirm.
+        """
+        with self._exclusive("relax"):
+            self._energised = False
+            bring_up.torque_off(self.bus, self._body.servos)
+
+    def restart_faulted(self) -> tuple[str, ...]:
+        """Reboot the servos that report a hardware error, each with its shadow or partner; names them.
+
+        The others keep holding. Restarted servos take their torque back where they stand if the arm was
+        energised. Support the arm before.
+
+        Raises:
+            ServoFault: One still reports its error.
+            BusError: One does not come back.
+        """
+        body = self._body
+        with self._exclusive("restart"):
+            alerts = {servo.servo_id for servo in body.servos if self.bus.ping(servo.servo_id).alert}
+            partners = {servo.servo_id: servo.shadow_of for servo in body.servos if servo.shadow_of is not None}
+            alerts |= {partners[i] for i in alerts if i in partners}
+            alerts |= {shadow for shadow, partner in partners.items() if partner in alerts}
+            faulted = [servo for servo in body.servos if servo.servo_id in alerts]
+            bring_up.restart(self.bus, body.clock, faulted)
+        if self._energised and faulted:
+            self.energise()
+        return tuple(servo.title for servo in faulted)
+
+    # --- stop -----------------------------------------------------------------------------------------
+
+    def request_stop(self) -> None:
+        """End the running move early, slowing along its path; from any thread or signal handler."""
+        self._held = True
+        self._stops += 1
+
+    def clear_stop(self) -> None:
+        """Allow motion again. Moves nothing; a move that was told to stop does not go on."""
+        self._held = False
+
+    def _stop_watch(self) -> Callable[[], bool]:
+        """Says whether a stop was asked for since now, even if it has been cleared again."""
+        stops = self._stops
+        return lambda: self._held or self._stops != stops
+
+    # --- state and moves ------------------------------------------------------------------------------
+
+    def state(self) -> ArmState:
+        """What the servos say now; while another thread moves the arm, what they said last to it.
+
+        Raises:
+            BusError: A servo did not answer.
+            ServoFault: A servo reports a hardware error.
+        """
+        latest = self._body.latest
+        if self._mover not in {None, threading.get_ident()} and latest is not None:
+            return latest
+        return self._body.state()
+
+    def follow(self, trajectory: Trajectory) -> MoveReport:
+        """Stream a trajectory to the servos; blocks until it has ended and the joints are settled.
+
+        Raises:
+            LimitViolation: It does not start where the arm stands, or leaves the joints' limits; nothing moved.
+            MotionTimeout: A joint does not follow, or the machine is too slow to stream.
+            BusError: The bus failed for longer than a few cycles; the goals are held.
+            ServoFault: A servo reports a hardware error or has restarted; the others have slowed down and hold.
+        """
+        body = self._body
+        stop_requested = self._stop_watch()
+        with self._exclusive("follow"):
+            self._need_torque("follow")
+            check_trajectory(body, trajectory)
+            state = body.state()
+            check_start(body, trajectory, state)
+            if stop_requested():
+                return MoveReport(False, state, 0.0)
+            with body.watched():
+                # A watchdog that had tripped in between has changed what the joints were told last.
+                check_start(body, trajectory, state)
+                return Follower(body, trajectory, state, stop_requested).run()
+
+    def grip(self, opening: float, effort: float = 1.0) -> GripReport:
+        """Move the jaws to a clear opening (mm) or until they stop on something; blocks.
+
+        Args:
+            opening: Wanted clear opening, mm; clipped to what the gripper can do.
+            effort: Fraction of the gripper's rated holding force, in (0, 1].
+
+        Raises:
+            LimitViolation: `effort` is out of range.
+            MotionTimeout: The jaws neither arrive nor stop.
+            BusError: A servo does not answer for several cycles.
+            ServoFault: A servo reports a hardware error.
+        """
+        if not 0.0 < effort <= 1.0:
+            raise LimitViolation(f"grip: effort {effort:g} is not in (0, 1]")
+        body = self._body
+        stop_requested = self._stop_watch()
+        with self._exclusive("grip"):
+            self._need_torque("grip")
+            if stop_requested():
+                state = body.state()
+                return GripReport(False, False, state.opening, state.gripper_load)
+            low, high = body.description.gripper.opening
+            with body.watched():
+                return move_jaws(body, min(max(opening, low), high), effort, stop_requested)
+
+    def _need_torque(self, operation: str) -> None:
+        if not self._energised:
+            raise ArmError(self.description.name, operation, "torque is off", "energise the arm first")
+
+    @contextmanager
+    def _exclusive(self, operation: str) -> Iterator[None]:
+        """One motion at a time."""
+        if not self._moving.acquire(blocking=False):
+            raise ArmError(self.description.name, operation, "the arm is busy with another move", "wait for its end")
+        self._mover = threading.get_ident()
+        try:
+            yield
+        finally:
+            self._mover = None
+            self._moving.release()

@@ -1,0 +1,162 @@
+"""Following a trajectory: goals out, feedback in, every period, until it has ended and the joints stand.
+
+A miss is a cycle without news; the goals go on. A servo's fault, silence for several cycles, or a joint that
+strays from its path ends the move: the others slow down along the path and hold, then the error is raised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from controller.domain import ArmState, MoveReport, Trajectory
+from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout
+from drivers.arm.body import WATCHDOG, Body, MissCounter, StopRequested
+from drivers.arm.conversions import ticks_from_angles
+from drivers.arm.servos import Telemetry
+from drivers.arm.streaming import Progress
+
+START_TOLERANCE = 0.05
+"""Largest distance of a joint from a trajectory's start, rad: sag and joint offsets stay below, other poses not."""
+
+GOAL_STEP_LIMIT = 0.15
+"""Largest distance of a trajectory's first goal from the last one sent, rad: an offset, not another pose."""
+
+FOLLOWING_LIMIT = 0.30
+"""Largest distance of a joint from its path, rad: an XM430 asks for its whole stall torque at 0.22."""
+
+_FOLLOWING_CYCLES = 5
+_SETTLED_SPEED = 0.05  # rad/s: two units of Present_Velocity
+_SETTLED_CYCLES = 2
+_SETTLE_TIME = 0.5  # s: joints whose sag is not modelled need up to 0.3
+_SLIP_LIMIT = 2.0  # s a move may lose to late cycles beyond its own duration
+
+
+def check_trajectory(body: Body, trajectory: Trajectory) -> None:
+    """Refuse what must not be streamed, whatever the pose.
+
+    Raises:
+        LimitViolation: Wrong shape, not a number, or a goal the servos would refuse.
+    """
+    shape = (len(trajectory.positions), len(body.joints))
+    arrays = (trajectory.positions, trajectory.goals)
+    if shape[0] == 0 or any(array.shape != shape for array in arrays) or not trajectory.period > 0.0:
+        raise LimitViolation(f"{trajectory.name}: not a trajectory of {len(body.joints)} joints")
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise LimitViolation(f"{trajectory.name}: not a number among its samples")
+    ticks = ticks_from_angles(trajectory.goals)
+    for column, joint in zip(ticks.T, body.joints, strict=True):
+        low, high = joint.limits
+        if column.min() < low or column.max() > high:
+            raise LimitViolation(f"{trajectory.name}: {joint.name} leaves its limits")
+
+
+def check_start(body: Body, trajectory: Trajectory, state: ArmState) -> None:
+    """Compare a trajectory's start with where the arm stands and what it was told last.
+
+    Raises:
+        LimitViolation: They differ.
+    """
+    from_pose = np.abs(trajectory.positions[0] - state.positions)
+    from_goal = np.abs(trajectory.goals[0] - body.goals)
+    for joint, pose, goal in zip(body.joints, from_pose, from_goal, strict=True):
+        if pose > START_TOLERANCE or goal > GOAL_STEP_LIMIT:
+            cause = f"{trajectory.name}: {joint.name} stands {np.degrees(max(pose, goal)):.1f} deg from its start"
+            raise LimitViolation(cause, "plan from the present pose")
+
+
+class Follower:
+    """One move under way.
+
+    Args:
+        body: The servos, their watchdog armed.
+        trajectory: A checked trajectory.
+        state: Where the arm stands.
+        stop_requested: Asked every cycle.
+    """
+
+    def __init__(self, body: Body, trajectory: Trajectory, state: ArmState, stop_requested: StopRequested) -> None:
+        self._body = body
+        self._trajectory = trajectory
+        self._stop_requested = stop_requested
+        self._progress = Progress(trajectory, body.goals)
+        self._misses = MissCounter(body)
+        self._present = state.positions.copy()
+        self._speeds = np.abs(state.velocities)
+        self._astray = np.zeros(len(body.joints), np.int64)
+        self._worst = 0.0
+        self._failure: ArmError | None = None
+
+    def run(self) -> MoveReport:
+        """Stream until the end, a stop or a failure; blocks.
+
+        Raises:
+            ArmError: What ended the move; the joints hold, unless the port is lost.
+        """
+        body, progress, clock = self._body, self._progress, self._body.clock
+        last = tick = clock.now()
+        ended_at: float | None = None
+        settled = 0
+        while True:
+            body.send_goals(progress.goals)
+            news = self._look()
+            stopping = self._failure is not None or self._stop_requested()
+            if progress.at_end or (stopping and progress.standing):
+                if self._failure is not None:
+                    raise self._failure
+                ended_at = clock.now() if ended_at is None else ended_at
+                settled = settled + 1 if news and self._speeds.max() <= _SETTLED_SPEED else 0
+                if settled >= _SETTLED_CYCLES or clock.now() - ended_at > _SETTLE_TIME:
+                    return MoveReport(progress.at_end, body.state(), self._worst)
+            tick = body.next_tick(tick, self._trajectory.period)
+            elapsed = clock.now() - last
+            last += elapsed
+            if elapsed > WATCHDOG / 2.0:
+                self._guard(self._after_silence)
+            progress.advance(elapsed, stopping)
+
+    def _look(self) -> bool:
+        """Take the servos' feedback in and judge it; True when every joint has answered."""
+        found: dict[int, Telemetry | None] = {}
+
+        def read() -> None:
+            found.update(self._body.read(self._trajectory.name))
+
+        self._guard(read)
+        self._failure = self._failure or self._misses.failure(found, self._trajectory.name)
+        joints = self._body.joints
+        answers = [found.get(joint.servo_id) for joint in joints]
+        for index, telemetry in enumerate(answers):
+            if telemetry is not None:
+                self._present[index] = telemetry.position
+                self._speeds[index] = abs(telemetry.velocity)
+        error = np.abs(self._present - self._progress.positions)
+        self._worst = max(self._worst, float(error.max()))
+        self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)
+        if self._failure is None and self._astray.max() >= _FOLLOWING_CYCLES:
+            index = int(self._astray.argmax())
+            # The way is blocked: any further goal would push harder.
+            self._progress.freeze()
+            cause = f"is {np.degrees(error[index]):.0f} deg off its path"
+            remedy = "clear the way, then reset"
+            self._failure = MotionTimeout(joints[index].title, self._trajectory.name, cause, remedy)
+        if self._failure is None and self._progress.slipped > self._trajectory.duration + _SLIP_LIMIT:
+            cause = f"{self._progress.slipped:.1f} s lost to late cycles"
+            remedy = "relieve the machine; check the adapter's latency and the baud rate"
+            self._failure = MotionTimeout(self._body.bus.name, self._trajectory.name, cause, remedy)
+        return None not in answers
+
+    def _after_silence(self) -> None:
+        """The servos' watchdog may have stopped them: go on from where they stand."""
+        if self._body.recheck():
+            self._progress.rebase(self._body.goals)
+
+    def _guard(self, action: Callable[[], None]) -> None:
+        """Do it; a failure ends the move, a lost port at once."""
+        try:
+            action()
+        except ArmError as error:
+            if isinstance(error, BusError) and error.code == "lost":
+                raise
+            self._failure = self._failure or error
