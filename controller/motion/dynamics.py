@@ -1,0 +1,152 @@
+"""What a servo must be told so that the joint goes where it shall: the offset against sag and lag.
+
+A Dynamixel in position mode is a spring: it pushes with `stiffness * (goal - position)` against gravity, inertia,
+back-EMF and friction. Telling it the wanted angle alone misses by centimetres. The model here is the arm as point
+masses in one plane plus each joint's own rotor; every parameter comes from the arm's description, so that figures
+identified from logs replace the nominal ones without a change here.
+
+Source: Lagrange's equations of point masses in cylindrical coordinates, e.g. Spong, Robot Modeling and
+Control, chapter 7.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from controller.domain import ArmDescription, Array
+
+GRAVITY = 9.80665  # m/s^2
+# A share below one keeps an over-estimated friction from driving a limit cycle about the goal; the tanh spreads
+# the change of sign over +-0.05 rad/s, two encoder ticks in one 100 Hz period.
+FRICTION_SHARE = 0.6
+FRICTION_SPEED = 0.05  # rad/s
+# The servo takes a goal once a period and holds it; half a period and the loop's own millisecond make it late.
+LOOP_DELAY = 0.001  # s
+_M = 1e-3  # mm to m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """An arm as numbers: metres and kilograms."""
+
+    start: float
+    spans: tuple[tuple[float, float], ...]  # vector from shoulder to elbow and elbow to wrist
+    bodies: tuple[tuple[int, float, float, float], ...]  # (planar joint 0..2, x, z, mass) carried by it
+    hand: float
+    column: float  # moment of inertia of what turns with the waist only, kg m^2
+    stiffness: Array
+    damping: Array
+    friction: Array
+    inertia: Array
+
+
+@lru_cache(maxsize=32)
+def _model(arm: ArmDescription) -> _Model:
+    joints, links = arm.joints, arm.links
+    # What the roll joint carries sits on its axis as far as the plane is concerned.
+    shift = [0.0, 0.0, 0.0, 0.0] + [joint.offset[0] for joint in joints[4:]]
+    bodies = tuple(
+        (min(k, 3) - 1, (link.center[0] + shift[k]) * _M, link.center[2] * _M, link.mass)
+        for k, link in enumerate(links)
+        if k > 0
+    )
+    first = links[0]
+    servo = [joint.dynamics for joint in joints]
+    return _Model(
+        start=joints[1].offset[0] * _M,
+        spans=tuple((joints[k].offset[0] * _M, joints[k].offset[2] * _M) for k in (2, 3)),
+        bodies=bodies,
+        hand=(sum(shift) + arm.tool[0]) * _M,
+        column=first.mass * (first.center[0] ** 2 + first.center[1] ** 2) * _M**2,
+        stiffness=np.array([s.stiffness for s in servo]),
+        damping=np.array([s.damping for s in servo]),
+        friction=np.array([s.friction for s in servo]),
+        inertia=np.array([s.inertia for s in servo]),
+    )
+
+
+def torque(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array | float = 0.0) -> Array:
+    """Torque the links and the payload ask of the joints (rotors, back-EMF and friction left out).
+
+    Args:
+        arm: The arm.
+        q: ndarray of shape (N, J), rad.
+        qd: ndarray of shape (N, J), rad/s.
+        qdd: ndarray of shape (N, J), rad/s^2.
+        payload: Mass at the grasp point, kg; scalar or ndarray of shape (N,).
+
+    Returns:
+        ndarray of shape (N, J), Nm, about the joints' own axes.
+    """
+    m = _model(arm)
+    below = np.cumsum(q[:, 1:4], axis=1)
+    rate = np.cumsum(qd[:, 1:4], axis=1)
+    gain = np.cumsum(qdd[:, 1:4], axis=1)
+    cos, sin = np.cos(below), np.sin(below)
+    spin, spin_gain = qd[:, 0], qdd[:, 0]
+    about = np.zeros((len(q), 3))  # torque about each body's own absolute angle
+    waist = m.column * spin_gain
+    for k, x, z, mass in (*m.bodies, (2, m.hand, 0.0, payload)):
+        legs = [(*m.spans[j], j) for j in range(k)] + [(x, z, k)]
+        radius = np.full(len(q), m.start)
+        radius_rate, radius_gain, height_gain = np.zeros(len(q)), np.zeros(len(q)), np.full(len(q), GRAVITY)
+        vectors = []
+        for lx, lz, j in legs:
+            out, up = lx * cos[:, j] + lz * sin[:, j], lz * cos[:, j] - lx * sin[:, j]
+            vectors.append((out, up, j))
+            w2 = rate[:, j] ** 2
+            radius += out
+            radius_rate += rate[:, j] * up
+            radius_gain += gain[:, j] * up - w2 * out
+            height_gain -= gain[:, j] * out + w2 * up
+        push = mass * (radius_gain - radius * spin**2)
+        lift = mass * height_gain
+        waist = waist + mass * radius * (radius * spin_gain + 2.0 * radius_rate * spin)
+        for out, up, j in vectors:
+            about[:, j] += push * up - lift * out
+    tau = np.zeros_like(q)
+    tau[:, 0] = waist
+    tau[:, 1:4] = np.cumsum(about[:, ::-1], axis=1)[:, ::-1]
+    return tau
+
+
+def offset(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array | float = 0.0) -> Array:
+    """How far ahead of the wanted angles the goals must be: ndarray of shape (N, J), rad.
+
+    Args:
+        arm: The arm.
+        q: ndarray of shape (N, J), rad.
+        qd: ndarray of shape (N, J), rad/s.
+        qdd: ndarray of shape (N, J), rad/s^2.
+        payload: Mass at the grasp point, kg; scalar or ndarray of shape (N,).
+    """
+    m = _model(arm)
+    friction = FRICTION_SHARE * m.friction * np.tanh(qd / FRICTION_SPEED)
+    total = torque(arm, q, qd, qdd, payload) + m.inertia * qdd + m.damping * qd + friction
+    return np.asarray(total / m.stiffness)
+
+
+def joint_offsets(arm: ArmDescription, calibrated: Mapping[str, float]) -> Array:
+    """Calibrated joint offsets in joint order (0 where there is none): ndarray of shape (J,), rad."""
+    return np.array([calibrated.get(name, 0.0) for name in arm.joint_names])
+
+
+def lead(period: float) -> float:
+    """How far ahead of its sample a streamed goal looks, s: half a period and the servo's loop time."""
+    return period / 2.0 + LOOP_DELAY
+
+
+def holding_torque(arm: ArmDescription, q: Array, payload: float = 0.0) -> Array:
+    """Torque that holds the arm still: ndarray of shape (J,), Nm."""
+    still = np.zeros((1, len(q)))
+    return np.asarray(torque(arm, np.asarray(q, np.float64)[None], still, still, payload)[0])
+
+
+def degrees_of_sag(arm: ArmDescription, q: Array, payload: float = 0.0) -> Array:
+    """How far each joint would sag below its goal without the offset: ndarray of shape (J,), deg."""
+    return np.asarray(holding_torque(arm, q, payload) / _model(arm).stiffness * (180.0 / math.pi))

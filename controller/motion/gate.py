@@ -1,0 +1,191 @@
+"""The safety gate: no plan reaches the arm that breaks a limit anywhere along its way.
+
+It judges the sampled moves themselves, not how they were made, and knows nothing of paths.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.domain import ArmDescription, Array, Bin, PickPlan, Trajectory
+from controller.errors import LimitViolation
+from controller.geometry import invert, transform
+from controller.motion.kinematics import chain, forward, points
+
+# Sampling and the moving average may leave a joint this far over its planned limits; the limits themselves
+# are chosen with more in hand.
+SPEED_SLACK = 1.02
+ACCELERATION_SLACK = 1.08
+TOOL_SPEED = 1500.0  # mm/s
+TABLE_MARGIN = 1.0  # mm that the jaw tips keep from the table
+BODY_MARGIN = 30.0  # mm that elbow and wrist keep from the table
+COLUMN = (60.0, 15.0)  # mm: radius kept clear about the waist, and how far over the shoulder it reaches
+WALL_MARGIN = 2.0  # mm between jaws and bin walls
+WALL = 4.0  # mm: thickness of a bin wall at most
+START_TOLERANCE = 0.1  # rad between measured pose and first sample
+LARGEST_OFFSET = 0.35  # rad a goal may lie ahead of its position
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gate:
+    """What no move may break.
+
+    Attributes:
+        arm: The arm.
+        T_base_table: ndarray of shape (4, 4), mm.
+        bins: Boxes whose walls the jaws must not touch.
+        radius: The grasp point stays within this distance of the waist axis, mm.
+        ceiling: The grasp point stays below this height in `base`, mm.
+    """
+
+    arm: ArmDescription
+    T_base_table: Array
+    bins: tuple[Bin, ...]
+    radius: float
+    ceiling: float
+
+    def check_plan(self, plan: PickPlan, start: Array) -> None:
+        """Approve a whole pick before its first move.
+
+        Args:
+            plan: The plan.
+            start: ndarray of shape (J,): where the joints are now (offsets taken out), rad.
+
+        Raises:
+            LimitViolation: The message names the move, what is broken, its value and its limit.
+        """
+        where = start
+        for trajectory in plan.trajectories:
+            self.check(trajectory, where, opening=plan.grasp.opening)
+            where = trajectory.positions[-1]
+
+    def check(self, trajectory: Trajectory, start: Array, *, opening: float | None = None) -> None:
+        """Approve one move.
+
+        Args:
+            trajectory: The move.
+            start: ndarray of shape (J,): where the joints are before it, rad.
+            opening: Widest clear opening of the jaws during it, mm; the gripper's widest when None.
+
+        Raises:
+            LimitViolation: The message names the move, what is broken, its value and its limit.
+        """
+        name, q = trajectory.name, trajectory.positions
+        self._numbers(trajectory, start)
+        self._joints(name, q, trajectory.period)
+        body = points(self.arm, q)
+        self._body(name, body)
+        speeds = np.linalg.norm(np.diff(body[:, 3], axis=0), axis=1) / trajectory.period
+        if len(speeds) and speeds.max() > TOOL_SPEED:
+            raise _violation(name, "tool speed", float(speeds.max()), TOOL_SPEED, "mm/s")
+        self._jaws(name, q, opening if opening is not None else self.arm.gripper.opening[1])
+
+    def _numbers(self, trajectory: Trajectory, start: Array) -> None:
+        name, q, goals = trajectory.name, trajectory.positions, trajectory.goals
+        if q.ndim != 2 or q.shape != goals.shape or q.shape[1] != len(self.arm.joints) or not len(q):  # noqa: PLR2004
+            raise LimitViolation(f"{name}: positions {q.shape} and goals {goals.shape} do not suit {self.arm.title}")
+        if not (np.isfinite(q).all() and np.isfinite(goals).all()):
+            raise LimitViolation(f"{name}: a joint angle is not a finite number")
+        ahead = np.abs(goals - q).max(axis=0)
+        for joint, value in zip(self.arm.joints, ahead, strict=True):
+            if value > LARGEST_OFFSET:
+                raise _violation(name, f"{joint.name} goal ahead by", math.degrees(value), math.degrees(LARGEST_OFFSET))
+        for joint, value in zip(self.arm.joints, np.abs(q[0] - start), strict=True):
+            if not value <= START_TOLERANCE:
+                what = f"{joint.name} away from the start by"
+                raise _violation(name, what, math.degrees(value), math.degrees(START_TOLERANCE))
+
+    def _joints(self, name: str, q: Array, period: float) -> None:
+        speed = np.diff(q, axis=0) / period
+        gain = np.diff(speed, axis=0) / period
+        c = chain(self.arm)
+        for k, joint in enumerate(self.arm.joints):
+            low, high = float(q[:, k].min()), float(q[:, k].max())
+            if low < c.low[k] - 1e-9 or high > c.high[k] + 1e-9:
+                value, limit = (low, c.low[k]) if low < c.low[k] - 1e-9 else (high, c.high[k])
+                raise _violation(name, joint.name, math.degrees(value), math.degrees(limit))
+            if len(speed) and (top := float(np.abs(speed[:, k]).max())) > joint.speed_limit * SPEED_SLACK:
+                raise _violation(name, f"{joint.name} speed", top, joint.speed_limit, "rad/s")
+            if len(gain) and (top := float(np.abs(gain[:, k]).max())) > joint.acceleration_limit * ACCELERATION_SLACK:
+                raise _violation(name, f"{joint.name} acceleration", top, joint.acceleration_limit, "rad/s^2")
+
+    def _body(self, name: str, body: Array) -> None:
+        """Elbow, wrist and grasp point against table, column and workspace; the first sample may be anywhere."""
+        c = chain(self.arm)
+        low = float(body[:, 1:3, 2].min())
+        if low < min(BODY_MARGIN, float(body[0, 1:3, 2].min())) - 1e-6:
+            raise _violation(name, "elbow or wrist height", low, BODY_MARGIN, "mm")
+        tool = body[:, 3]
+        radius = np.hypot(tool[:, 0] - c.axis[0], tool[:, 1])
+        if radius.max() > max(self.radius, float(radius[0])) + 1e-6:
+            raise _violation(name, "distance of the tool from the waist", float(radius.max()), self.radius, "mm")
+        if tool[:, 2].max() > max(self.ceiling, float(tool[0, 2])) + 1e-6:
+            raise _violation(name, "height of the tool", float(tool[:, 2].max()), self.ceiling, "mm")
+        share = np.linspace(0.0, 1.0, 6)[:, None]
+        hand = body[:, None, 2] + (body[:, None, 3] - body[:, None, 2]) * share
+        fore = body[:, None, 1] + (body[:, None, 2] - body[:, None, 1]) * share
+        arm = np.concatenate([fore, hand], axis=1)
+        near = np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
+        inside = (arm[..., 2] < c.axis[1] + COLUMN[1]) & (near < COLUMN[0])
+        depth = np.where(inside, COLUMN[0] - near, 0.0).max(axis=1)
+        if depth.max() > depth[0] + 1e-6:
+            raise _violation(name, "distance from the arm's own column", COLUMN[0] - float(depth.max()), COLUMN[0], "mm")
+
+    def _jaws(self, name: str, q: Array, opening: float) -> None:
+        """Jaw tips against the table and the walls of the bins."""
+        gripper = self.arm.gripper
+        pose = forward(self.arm, q)
+        along = opening / 2.0 + gripper.jaw_size[0]
+        across = gripper.jaw_size[1] / 2.0
+        tip = np.array([gripper.jaw_depth, 0.0, 0.0])
+        corners = tip + np.array([[0.0, a, b] for a in (-along, along) for b in (-across, across)])
+        way = np.einsum("nij,kj->nki", pose[:, :3, :3], corners) + pose[:, None, :3, 3]
+        way = transform(invert(self.T_base_table), way)
+        height = way[..., 2].min(axis=1)
+        if height.min() < min(TABLE_MARGIN, float(height[0])) - 1e-6:
+            raise _violation(name, "height of the jaw tips over the table", float(height.min()), TABLE_MARGIN, "mm")
+        for bin_ in self.bins:
+            low = height < bin_.height + WALL_MARGIN
+            if not low.any():
+                continue
+            flat = np.abs(way[low][..., :2] - np.array(bin_.center))
+            half = np.array(bin_.size) / 2.0
+            inside = (flat <= half - WALL_MARGIN).all(axis=(1, 2))
+            box = _beside(way[low][..., :2] - np.array(bin_.center), half + WALL + WALL_MARGIN)
+            bad = np.zeros(len(q), bool)
+            bad[low] = ~(inside | box)
+            # An arm stopped at a wall may leave it straight up, as far as it needs.
+            free = int(np.argmin(bad)) if not bad.all() else len(bad)
+            if bad[free:].any() or (np.diff(height[: free + 1]) < -1e-6).any():
+                limit = bin_.height + WALL_MARGIN
+                raise _violation(name, f"height of the jaws at a wall of bin {bin_.name}", float(height.min()), limit, "mm")
+
+
+def _beside(quads: Array, half: Array) -> Array:
+    """Which of the quads (N, 4, 2) lie wholly on the outer side of one edge line of a box about the origin."""
+    out = np.zeros(len(quads), bool)
+    for k in range(2):
+        out |= (quads[..., k] > half[k]).all(axis=1) | (quads[..., k] < -half[k]).all(axis=1)
+    return out
+
+
+def workspace(bins: Sequence[Bin], T_base_table: Array, arm: ArmDescription) -> tuple[float, float]:
+    """Radius about the waist axis and height (mm) that the arm's work asks for: what lies beyond is forbidden."""
+    c = chain(arm)
+    reach = c.start + c.upper[0] + c.fore[0] + c.hand
+    corners = [
+        transform(T_base_table, [b.center[0] + sx * b.size[0] / 2, b.center[1] + sy * b.size[1] / 2, 0.0])
+        for b in bins
+        for sx in (-1, 1)
+        for sy in (-1, 1)
+    ]
+    far = max((float(np.hypot(p[0], p[1])) for p in corners), default=0.0)
+    return max(far, reach * 0.8), c.axis[1] + c.upper[0] + c.fore[0]
+
+
+def _violation(name: str, what: str, value: float, limit: float, unit: str = "deg") -> LimitViolation:
+    return LimitViolation(f"{name}: {what} {value:.1f} {unit}, limit {limit:.1f} {unit}", "nothing has moved")

@@ -1,0 +1,181 @@
+"""How to take a part: from which sides, how wide open, and with how much room for the jaws.
+
+Everything here is planar, in `table` (mm, rad): the jaws come straight down, each a rectangle that sweeps from its
+open position to the part. Whether the arm reaches the grasp is the planner's question.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from controller.domain import Array, Bin, Grasp, Gripper, LocatedObject, Point, Shape
+from controller.errors import NoClearGrasp
+from controller.geometry import angle_difference
+
+# How high the jaw tips stay over the table: several times the sag the offset leaves.
+TIP_HEIGHT = 4.0
+# Room between an open jaw and the part on each side: generous first, then what a tight place allows.
+OPENING_MARGINS = (5.0, 2.5)
+# A jaw may not come nearer to anything else than this: arm and localisation errors together.
+MIN_CLEARANCE = 2.0
+ENOUGH_CLEARANCE = 8.0
+BIN_WALL = 4.0  # thickness that is kept clear of, mm
+_OUTLINE_STEP = 2.0  # mm between the points an obstacle is made of; below MIN_CLEARANCE nothing slips through
+_CIRCLE_DIRECTIONS = 12
+# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle turned by more is
+# squeezed out (physics study of 12 picks a cell, friction 0.3 to 0.8).
+_TRIANGLE_TURN = math.radians(20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """A closing direction and how well it holds.
+
+    Attributes:
+        direction: rad about z of `table`, in [0, pi).
+        quality: 1 for parallel flats across the short side, less for what may slip or turn.
+    """
+
+    direction: float
+    quality: float
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One free way to take a part; `score` orders them, best first."""
+
+    grasp: Grasp
+    score: float
+
+
+def sides(part: LocatedObject) -> tuple[Side, ...]:
+    """Closing directions that a part's outline offers, parallel flats first."""
+    yaw = part.yaw if part.yaw is not None else 0.0
+    quarter = math.pi / 2
+    if part.shape is Shape.CIRCLE:
+        step = math.pi / _CIRCLE_DIRECTIONS
+        offers = [(k * step, 0.9) for k in range(_CIRCLE_DIRECTIONS)]
+    elif part.shape is Shape.SQUARE:
+        offers = [(yaw + quarter, 1.0), (yaw, 1.0)]
+    elif part.shape is Shape.HEXAGON:
+        offers = [(yaw + quarter + k * math.pi / 3, 1.0) for k in range(3)]
+    elif part.shape is Shape.TRIANGLE:
+        # One jaw flat on a side, the other on the corner opposite: it holds because the corner's line of
+        # force meets the flat jaw inside its width.
+        offers = [(yaw + quarter + k * math.pi / 3, 0.8) for k in range(3)]
+    else:
+        offers = [(yaw + quarter, 1.0 if part.shape is Shape.RECTANGLE else 0.7), (yaw, 0.6)]
+    return tuple(Side(direction % math.pi, quality) for direction, quality in offers)
+
+
+def fixed_side(part: LocatedObject, direction: float) -> Side | None:
+    """The only direction an arm without wrist roll can close along, or None when it would not hold."""
+    nearest = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi)))
+    turn = abs(angle_difference(direction, nearest.direction, math.pi))
+    if part.shape is Shape.CIRCLE:
+        turn = 0.0
+    if part.shape is Shape.TRIANGLE and turn > _TRIANGLE_TURN:
+        return None
+    return Side(direction % math.pi, nearest.quality * (1.0 - turn / math.pi))
+
+
+def obstacles(others: Sequence[LocatedObject], bins: Sequence[Bin], near: Point, within: float) -> Array:
+    """Points (N, 2) along the outlines of everything near a place that a jaw must not touch, mm."""
+    outlines = [_dense(other.footprint) for other in others if math.dist(other.center, near) < within + max(other.size)]
+    for bin_ in bins:
+        half = np.array(bin_.size) / 2.0 + BIN_WALL
+        if math.dist(bin_.center, near) < within + float(np.hypot(*half)):
+            corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half + bin_.center
+            outlines.append(_dense(corners))
+    return np.concatenate(outlines) if outlines else np.empty((0, 2))
+
+
+def _dense(outline: Array) -> Array:
+    """Points every 2 mm along a closed outline."""
+    ahead = np.roll(outline, -1, axis=0)
+    lengths = np.linalg.norm(ahead - outline, axis=1)
+    count = max(int(lengths.sum() / _OUTLINE_STEP) + 1, 3)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    closed = np.vstack([outline, outline[:1]])
+    at = np.linspace(0.0, along[-1], count, endpoint=False)
+    return np.column_stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])])
+
+
+def choose(
+    part: LocatedObject,
+    offers: Sequence[Side],
+    gripper: Gripper,
+    blocked: Array,
+) -> list[Choice]:
+    """Every free way to take a part along the offered directions, best first.
+
+    Args:
+        part: What to take.
+        offers: Closing directions.
+        gripper: The gripper.
+        blocked: ndarray of shape (N, 2): points of `obstacles`, mm.
+
+    Raises:
+        NoClearGrasp: The part is too wide or too narrow for the jaws everywhere, or something is in the way.
+    """
+    hull = cv2.convexHull(part.footprint.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+    center = np.array(part.center)
+    narrowest, widest = gripper.opening
+    thickness, across = gripper.jaw_size
+    height = min(TIP_HEIGHT, part.height / 2.0) + gripper.jaw_depth
+    found: list[Choice] = []
+    widths: list[float] = []
+    for side in offers:
+        axis = np.array([math.cos(side.direction), math.sin(side.direction)])
+        along = (hull - center) @ axis
+        low, high = float(along.min()), float(along.max())
+        width = high - low
+        widths.append(width)
+        # Both jaws touch at the same time when the grasp point lies in the middle of the extent.
+        middle = center + axis * (low + high) / 2.0
+        for margin in OPENING_MARGINS:
+            opening = width + 2.0 * (margin + part.sigma)
+            if opening > widest:
+                opening = widest
+            if opening - width < 2.0 * OPENING_MARGINS[-1] or width < narrowest:
+                continue
+            clearance = _clearance(blocked, middle, axis, width, opening + 2.0 * thickness, across)
+            if clearance < MIN_CLEARANCE + part.sigma:
+                continue
+            grasp = Grasp(
+                center=(float(middle[0]), float(middle[1])),
+                height=height,
+                direction=side.direction,
+                width=width,
+                opening=max(opening, narrowest),
+                clearance=clearance,
+            )
+            room = min(clearance, ENOUGH_CLEARANCE) / ENOUGH_CLEARANCE
+            spread = margin / OPENING_MARGINS[0]
+            found.append(Choice(grasp, side.quality + 0.3 * room + 0.2 * spread))
+            break
+    if found:
+        return sorted(found, key=lambda choice: -choice.score)
+    place = f"{part.shape} at ({part.center[0]:.0f}, {part.center[1]:.0f}) mm"
+    fitting = [w for w in widths if narrowest <= w <= widest - 2.0 * OPENING_MARGINS[-1]]
+    if not fitting:
+        size = f"{min(widths):.0f} mm" if widths else "no side that holds"
+        raise NoClearGrasp(f"{place}: {size} does not suit jaws of {narrowest:.0f}..{widest:.0f} mm", "take it away")
+    raise NoClearGrasp(f"{place}: no room for the jaws on any side", "move the parts apart")
+
+
+def _clearance(blocked: Array, middle: Array, axis: Array, width: float, span: float, across: float) -> float:
+    """Distance of the nearest blocked point from what the jaws sweep (0: inside), mm; inf without points."""
+    if not len(blocked):
+        return math.inf
+    offset = blocked - middle
+    along = np.abs(offset @ axis)
+    beside = np.abs(offset @ np.array([-axis[1], axis[0]]))
+    out = np.maximum(np.maximum(along - span / 2.0, width / 2.0 - along), 0.0)
+    aside = np.maximum(beside - across / 2.0, 0.0)
+    return float(np.sqrt((out * out + aside * aside).min()))

@@ -1,0 +1,446 @@
+"""From a located part to a plan the arm may follow: grasp, drop, paths, timing, and the gate's approval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.domain import (
+    ArmDescription,
+    Array,
+    Bin,
+    CellCalibration,
+    Grasp,
+    LocatedObject,
+    PickPlan,
+    Point,
+    Trajectory,
+    Waypoint,
+)
+from controller.errors import LimitViolation, NoClearGrasp, PlanError, Unreachable
+from controller.geometry import transform
+from controller.motion import dynamics, grasps
+from controller.motion.gate import WALL_MARGIN, Gate, workspace
+from controller.motion.kinematics import (
+    TOP_DOWN,
+    branches,
+    chain,
+    closing_direction,
+    forward,
+    inverse,
+    points,
+    roll_for,
+)
+from controller.motion.path import Leg, join, line, speed_limits, stroke
+from controller.motion.trajectory import generate
+
+# Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
+# come near the table.
+PITCHES = tuple(math.radians(deg) for deg in (90.0, 85.0, 80.0, 75.0, 70.0, 65.0))
+# The vertical stroke at part and bin. Lifts of 30 to 80 mm cost the same to 3 %; 60 clears every wall used.
+LIFT = 60.0
+CORNER = 100.0  # mm of sideways travel that are rounded into the stroke
+CLEARANCE = 10.0  # mm over walls and parts in transit
+TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
+PART_BELOW_TIPS = grasps.TIP_HEIGHT
+FALL = 8.0  # mm that a part may fall onto what lies in the bin
+_START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stop:
+    """A low pose and the pose straight above it, with the stroke's height."""
+
+    low: Array
+    high: Array
+    rise: float
+
+
+class Planner:
+    """Plans moves for one arm in one cell. Pure: it moves nothing and keeps no state between calls.
+
+    Args:
+        arm: The arm.
+        calibration: Where `table` lies in `base`, and the joint offsets.
+        bins: All bins, also those not used.
+        speed: Share of the arm's speed limits, in (0, 1].
+        part_mass: Expected mass of a part, kg.
+    """
+
+    def __init__(
+        self,
+        arm: ArmDescription,
+        calibration: CellCalibration,
+        bins: Sequence[Bin],
+        *,
+        speed: float = 1.0,
+        part_mass: float = 0.02,
+    ) -> None:
+        self.arm = arm
+        self.calibration = calibration
+        self.bins = tuple(bins)
+        self.speed = speed
+        self.part_mass = part_mass
+        self._offsets = dynamics.joint_offsets(arm, calibration.joint_offsets)
+        self._T = np.asarray(calibration.T_base_table, np.float64)
+        self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
+        radius, ceiling = workspace(self.bins, self._T, arm)
+        self.gate = Gate(arm, self._T, self.bins, radius, ceiling)
+        highest = max([TALLEST_PART, *(bin_.height for bin_ in self.bins)])
+        # Height of the grasp point in transit: jaw tips and a held part pass over walls and parts.
+        self._clear = highest + CLEARANCE + PART_BELOW_TIPS + arm.gripper.jaw_depth
+
+    # --- what the cycle asks for --------------------------------------------------------------------------
+
+    def plan_pick(
+        self,
+        target: LocatedObject,
+        others: Sequence[LocatedObject],
+        bin: Bin,
+        drop: Point,
+        start: Array,
+        *,
+        pile: float | None = None,
+        finish: Array | None = None,
+    ) -> PickPlan:
+        """Everything that moves for one part, approved as a whole.
+
+        Args:
+            target: The part.
+            others: Everything else on the table, whatever it is.
+            bin: Where to put it.
+            drop: (x, y) in `table` where the part's centre is let go, mm.
+            start: ndarray of shape (J,): measured joint angles, rad.
+            pile: Height over the table of what lies in the bin already, mm; None: unknown, up to the brim.
+            finish: ndarray of shape (J,): where the retreat ends, rad; the ready pose when None.
+
+        Raises:
+            NoClearGrasp: The jaws have no room, or the part does not suit them.
+            Unreachable: Part or drop lies outside the reach.
+            LimitViolation: The gate refuses the plan.
+        """
+        q0 = self._wanted(start)
+        choices = self._choices(target, others)
+        failure: PlanError | None = None
+        for choice in choices:
+            try:
+                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish)
+            except (Unreachable, LimitViolation) as error:
+                failure = failure or error
+        assert failure is not None
+        raise failure
+
+    def plan_move(self, name: str, start: Array, goal: Array) -> Trajectory:
+        """A move from a pose to another, over a safe height where the direct way passes low.
+
+        Args:
+            name: What it is for.
+            start: ndarray of shape (J,): measured joint angles, rad.
+            goal: ndarray of shape (J,): wanted joint angles, rad.
+
+        Raises:
+            LimitViolation: The gate refuses every way tried.
+        """
+        q0 = self._wanted(start)
+        goal = np.asarray(goal, np.float64)
+        failure: LimitViolation | None = None
+        for legs, corners in self._ways(q0, goal):
+            trajectory = self._trajectory(name, legs, corners)
+            try:
+                self.gate.check(trajectory, q0)
+            except LimitViolation as error:
+                failure = failure or error
+            else:
+                return trajectory
+        assert failure is not None
+        raise failure
+
+    def home(self, start: Array) -> Trajectory:
+        """To the ready pose, out of the camera's view of the work area.
+
+        Raises:
+            LimitViolation: See `plan_move`.
+        """
+        return self.plan_move("home", start, np.array(self.arm.ready))
+
+    def park(self, start: Array) -> Trajectory:
+        """To the rest pose, where torque may go off.
+
+        Raises:
+            LimitViolation: See `plan_move`.
+        """
+        return self.plan_move("park", start, np.array(self.arm.rest))
+
+    def reach_error(self, point: Point, height: float) -> str | None:
+        """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
+        try:
+            self._stop(point, height, (0.0,))
+        except PlanError as error:
+            return error.cause
+        return None
+
+    def bin_error(self, bin: Bin) -> str | None:
+        """Why no part can be let go in the middle of a bin, or None when it can."""
+        try:
+            self._drop_stop(bin, bin.center, None, np.array(self.arm.ready), (0.0, 0.0), None)
+        except PlanError as error:
+            return error.cause
+        return None
+
+    # --- grasp and drop -----------------------------------------------------------------------------------
+
+    def _choices(self, target: LocatedObject, others: Sequence[LocatedObject]) -> list[grasps.Choice]:
+        gripper = self.arm.gripper
+        if len(self.arm.joints) > 4:  # noqa: PLR2004
+            offers = grasps.sides(target)
+        else:
+            x, y, _ = transform(self._T, [*target.center, 0.0])
+            tangential = math.atan2(y, x - chain(self.arm).axis[0]) + math.pi / 2 - self._yaw
+            side = grasps.fixed_side(target, tangential)
+            if side is None:
+                raise NoClearGrasp(
+                    f"{target.shape} at ({target.center[0]:.0f}, {target.center[1]:.0f}) mm: lies turned so that the "
+                    "jaws would squeeze it out",
+                    "turn the part",
+                )
+            offers = (side,)
+        within = gripper.opening[1] / 2.0 + sum(gripper.jaw_size) + grasps.ENOUGH_CLEARANCE + max(target.size)
+        blocked = grasps.obstacles(others, self.bins, target.center, within)
+        return grasps.choose(target, offers, gripper, blocked)
+
+    def _stop(self, point: Point, height: float, rolls: Sequence[float] | None, direction: float = 0.0) -> _Stop:
+        """The pose at a place of `table` from above and the one `LIFT` over it or higher.
+
+        Args:
+            point: (x, y) in `table`, mm.
+            height: z of the grasp point in `table`, mm.
+            rolls: Rolls to choose from; None: those that close along `direction` (rad, `table`).
+            direction: See `rolls`.
+        """
+        position = transform(self._T, [point[0], point[1], height])
+        rise = max(LIFT, self._clear - height)
+        failure: Unreachable | None = None
+        azimuth = math.atan2(position[1], position[0] - chain(self.arm).axis[0])
+        if rolls is None:
+            rolls = roll_for(self.arm, azimuth, direction + self._yaw) or (0.0,)
+        roll = min(rolls, key=abs)
+        for pitch in PITCHES:
+            ends = np.array([position, position + [0.0, 0.0, rise]])
+            q, allowed = branches(self.arm, ends, pitch, roll)
+            if allowed[:, 0].all():
+                return _Stop(q[0, 0], q[1, 0], rise)
+            if failure is None:
+                try:
+                    inverse(self.arm, position, pitch, roll)
+                    inverse(self.arm, ends[1], pitch, roll)
+                except Unreachable as error:
+                    failure = error
+        raise failure or Unreachable(
+            f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached over the back or elbow down",
+            "move it in front of the arm",
+        )
+
+    def _drop_stop(
+        self,
+        bin: Bin,
+        drop: Point,
+        grasp: Grasp | None,
+        held: Array,
+        rest: Point,
+        pile: float | None,
+    ) -> _Stop:
+        """The pose that lets the part go over `drop`, its centre there.
+
+        Args:
+            bin: The bin.
+            drop: (x, y) in `table`, mm.
+            grasp: How the part is held; None: nothing is.
+            held: ndarray of shape (J,): the posture it was gripped in, rad.
+            rest: Part's centre minus grasp point when it was gripped, `table`, mm.
+            pile: Height of what lies in the bin, or None.
+        """
+        gripper = self.arm.gripper
+        half = np.array(bin.size) / 2.0
+        if (np.abs(np.array(drop) - bin.center) > half).any():
+            raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
+        opening = grasp.opening if grasp is not None else gripper.opening[1]
+        brim = bin.height + WALL_MARGIN + 1.0
+        over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
+        deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
+        best: tuple[float, _Stop] | None = None
+        failure: Unreachable | None = None
+        held_yaw = _tool_yaw(self.arm, held)
+        for roll in self._drop_rolls(drop):
+            try:
+                stop = self._stop(drop, over, (roll,))
+                turn = _tool_yaw(self.arm, stop.low) - held_yaw
+                shift = (
+                    rest[0] * math.cos(turn) - rest[1] * math.sin(turn),
+                    rest[0] * math.sin(turn) + rest[1] * math.cos(turn),
+                )
+                place = (drop[0] - shift[0], drop[1] - shift[1])
+                fits = self._jaws_fit(bin, place, closing_direction(self.arm, stop.low) - self._yaw, opening)
+                stop = self._stop(place, min(deep, over) if fits else over, (roll,))
+            except Unreachable as error:
+                failure = failure or error
+                continue
+            # Deeper is better than sooner: 1 mm of fall is worth 10 ms.
+            cost = float((np.abs(stop.high - held) / speed_limits(self.arm)).max())
+            cost += 0.0 if fits else 0.01 * max(over - deep, 0.0)
+            if best is None or cost < best[0]:
+                best = cost, stop
+        if best is None:
+            assert failure is not None
+            raise failure
+        return best[1]
+
+    def _drop_rolls(self, drop: Point) -> tuple[float, ...]:
+        """Rolls that set the jaws along the sides of the bin, or the only one there is."""
+        x, y, _ = transform(self._T, [*drop, 0.0])
+        azimuth = math.atan2(y, x - chain(self.arm).axis[0])
+        rolls = [r for k in range(2) for r in roll_for(self.arm, azimuth, self._yaw + k * math.pi / 2)]
+        return tuple(rolls) or (0.0,)
+
+    def _jaws_fit(self, bin: Bin, place: Point, direction: float, opening: float) -> bool:
+        """Whether the opened jaws lie within the walls of a bin."""
+        thickness, across = self.arm.gripper.jaw_size
+        c, s = abs(math.cos(direction)), abs(math.sin(direction))
+        along, beside = opening / 2.0 + thickness, across / 2.0
+        extent = (along * c + beside * s, along * s + beside * c)
+        room = [
+            bin.size[k] / 2.0 - abs(place[k] - bin.center[k]) - extent[k] - WALL_MARGIN - 1.0 for k in range(2)
+        ]
+        return min(room) >= 0.0
+
+    # --- paths --------------------------------------------------------------------------------------------
+
+    def _plan(
+        self,
+        target: LocatedObject,
+        bin: Bin,
+        drop: Point,
+        q0: Array,
+        grasp: Grasp,
+        others: Sequence[LocatedObject],
+        pile: float | None,
+        finish: Array | None,
+    ) -> PickPlan:
+        pick = self._stop(grasp.center, grasp.height, None, grasp.direction)
+        rest = (target.center[0] - grasp.center[0], target.center[1] - grasp.center[1])
+        place = self._drop_stop(bin, drop, grasp, pick.low, rest, pile)
+        tall = max([target.height, *(other.height for other in others), 0.0])
+        # From here down the jaws are among the parts: exactly vertical.
+        straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
+        inside = min(max(self._clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
+        approach = self._approach(q0, pick, straight)
+        carry = self._trajectory(
+            "carry",
+            [self._up(pick), line(self.arm, pick.high, place.high), self._down(place)],
+            [(pick.rise - straight, CORNER), (CORNER, place.rise - inside)],
+            payload=(0.0, self.part_mass),
+        )
+        goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
+        retreat = self._trajectory(
+            "retreat",
+            [self._up(place), line(self.arm, place.high, goal)],
+            [(place.rise - inside, CORNER)],
+            payload=(self.part_mass, 0.0),
+        )
+        plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
+        self.gate.check_plan(plan, q0)
+        return plan
+
+    def _approach(self, q0: Array, pick: _Stop, straight: float) -> Trajectory:
+        failure: LimitViolation | None = None
+        for legs, corners in self._ways(q0, pick.high):
+            last = (CORNER, pick.rise - straight)
+            trajectory = self._trajectory("approach", [*legs, self._down(pick)], [*corners, last])
+            try:
+                self.gate.check(trajectory, q0)
+            except LimitViolation as error:
+                failure = failure or error
+            else:
+                return trajectory
+        assert failure is not None
+        raise failure
+
+    def _ways(self, q0: Array, goal: Array) -> Iterator[tuple[list[Leg], list[tuple[float, float]]]]:
+        """Ways between two poses, the fastest sensible one first; the gate decides."""
+        here = points(self.arm, q0)[3]
+        there = points(self.arm, goal)[3]
+        if here[2] >= min(self._clear, there[2]) - 1.0 or float(np.abs(q0 - goal).max()) < 1e-6:
+            yield [line(self.arm, q0, goal)], []
+        rise = self._clear - here[2]
+        if rise > 1.0:
+            try:
+                up = stroke(self.arm, here, q0, rise)
+            except Unreachable:
+                pass
+            else:
+                top = up.curve(np.ones(1), 0)[0]
+                yield [up, line(self.arm, top, goal)], [(max(rise - LIFT / 2.0, 0.0), CORNER)]
+        for via in self._tucked(q0[0], goal[0]):
+            yield [line(self.arm, q0, via[0]), line(self.arm, via[0], via[1]), line(self.arm, via[1], goal)], [
+                (5.0, CORNER / 2.0),
+                (CORNER / 2.0, 5.0),
+            ]
+        yield [line(self.arm, q0, goal)], []
+
+    def _tucked(self, waist: float, goal: float) -> Iterator[tuple[Array, Array]]:
+        """Folded poses at two waist angles to pass through when the tool cannot go straight up."""
+        for pose in (self.arm.ready, self.arm.rest):
+            first, second = np.array(pose), np.array(pose)
+            first[0], second[0] = waist, goal
+            yield first, second
+
+    def _up(self, stop: _Stop) -> Leg:
+        return stroke(self.arm, points(self.arm, stop.low)[3], stop.low, stop.rise)
+
+    def _down(self, stop: _Stop) -> Leg:
+        return stroke(self.arm, points(self.arm, stop.high)[3], stop.high, -stop.rise)
+
+    def _trajectory(
+        self,
+        name: str,
+        legs: Sequence[Leg],
+        corners: Sequence[tuple[float, float]],
+        payload: tuple[float, float] = (0.0, 0.0),
+    ) -> Trajectory:
+        path = join(self.arm, legs, corners)
+        return generate(self.arm, path, name, speed=self.speed, joint_offsets=self._offsets, payload=payload)
+
+    def _waypoints(self, pick: _Stop, place: _Stop, finish: Array) -> tuple[Waypoint, ...]:
+        inverse_pose = np.linalg.inv(self._T)
+        names = ("above part", "part", "above part", "above bin", "bin", "above bin", "finish")
+        poses = np.array([pick.high, pick.low, pick.high, place.high, place.low, place.high, finish])
+        way = transform(inverse_pose, points(self.arm, poses)[:, 3])
+        return tuple(
+            Waypoint(name, (float(p[0]), float(p[1]), float(p[2]))) for name, p in zip(names, way, strict=True)
+        )
+
+    def _wanted(self, measured: Array) -> Array:
+        """Joint angles without the calibrated offsets; a hair outside a limit counts as at it.
+
+        Raises:
+            LimitViolation: A joint stands outside its limits.
+        """
+        q = np.asarray(measured, np.float64) - self._offsets
+        c = chain(self.arm)
+        clipped = np.clip(q, c.low, c.high)
+        for joint, value, inside in zip(self.arm.joints, q, clipped, strict=True):
+            if not abs(value - inside) <= _START_CLIP:
+                limit = math.degrees(inside)
+                raise LimitViolation(
+                    f"{joint.name} stands at {math.degrees(value):.1f} deg, limit {limit:.1f} deg",
+                    "move it inside by hand with torque off",
+                )
+        return clipped
+
+
+def _tool_yaw(arm: ArmDescription, q: Array) -> float:
+    """Direction of the closing axis about z of `base`, with its sign, rad."""
+    axis = forward(arm, q)[:3, 1]
+    return math.atan2(axis[1], axis[0])
