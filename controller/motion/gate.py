@@ -86,7 +86,7 @@ class Gate:
 
     def _numbers(self, trajectory: Trajectory, start: Array) -> None:
         name, q, goals = trajectory.name, trajectory.positions, trajectory.goals
-        if q.ndim != 2 or q.shape != goals.shape or q.shape[1] != len(self.arm.joints) or not len(q):  # noqa: PLR2004
+        if q.ndim != 2 or q.shape != goals.shape or q.shape[1] != len(self.arm.joints) or not len(q):
             raise LimitViolation(f"{name}: positions {q.shape} and goals {goals.shape} do not suit {self.arm.title}")
         if not (np.isfinite(q).all() and np.isfinite(goals).all()):
             raise LimitViolation(f"{name}: a joint angle is not a finite number")
@@ -121,10 +121,13 @@ class Gate:
             raise _violation(name, "elbow or wrist height", low, BODY_MARGIN, "mm")
         tool = body[:, 3]
         radius = np.hypot(tool[:, 0] - c.axis[0], tool[:, 1])
-        if radius.max() > max(self.radius, float(radius[0])) + 1e-6:
-            raise _violation(name, "distance of the tool from the waist", float(radius.max()), self.radius, "mm")
-        if tool[:, 2].max() > max(self.ceiling, float(tool[0, 2])) + 1e-6:
-            raise _violation(name, "height of the tool", float(tool[:, 2].max()), self.ceiling, "mm")
+        # An arm found outside the workspace may come back by any way; one inside stays inside.
+        outside = radius[0] > self.radius or tool[0, 2] > self.ceiling
+        judged = slice(-1, None) if outside else slice(None)
+        if (far := float(radius[judged].max())) > self.radius:
+            raise _violation(name, "distance of the tool from the waist", far, self.radius, "mm")
+        if (high := float(tool[judged, 2].max())) > self.ceiling:
+            raise _violation(name, "height of the tool", high, self.ceiling, "mm")
         share = np.linspace(0.0, 1.0, 6)[:, None]
         hand = body[:, None, 2] + (body[:, None, 3] - body[:, None, 2]) * share
         fore = body[:, None, 1] + (body[:, None, 2] - body[:, None, 1]) * share
@@ -133,7 +136,8 @@ class Gate:
         inside = (arm[..., 2] < c.axis[1] + COLUMN[1]) & (near < COLUMN[0])
         depth = np.where(inside, COLUMN[0] - near, 0.0).max(axis=1)
         if depth.max() > depth[0] + 1e-6:
-            raise _violation(name, "distance from the arm's own column", COLUMN[0] - float(depth.max()), COLUMN[0], "mm")
+            value = COLUMN[0] - float(depth.max())
+            raise _violation(name, "distance from the arm's own column", value, COLUMN[0], "mm")
 
     def _jaws(self, name: str, q: Array, opening: float) -> None:
         """Jaw tips against the table and the walls of the bins."""
@@ -161,8 +165,8 @@ class Gate:
             # An arm stopped at a wall may leave it straight up, as far as it needs.
             free = int(np.argmin(bad)) if not bad.all() else len(bad)
             if bad[free:].any() or (np.diff(height[: free + 1]) < -1e-6).any():
-                limit = bin_.height + WALL_MARGIN
-                raise _violation(name, f"height of the jaws at a wall of bin {bin_.name}", float(height.min()), limit, "mm")
+                what, limit = f"height of the jaws at a wall of bin {bin_.name}", bin_.height + WALL_MARGIN
+                raise _violation(name, what, float(height[bad].min()), limit, "mm")
 
 
 def _beside(quads: Array, half: Array) -> Array:

@@ -139,9 +139,7 @@ def choose(
         # Both jaws touch at the same time when the grasp point lies in the middle of the extent.
         middle = center + axis * (low + high) / 2.0
         for margin in OPENING_MARGINS:
-            opening = width + 2.0 * (margin + part.sigma)
-            if opening > widest:
-                opening = widest
+            opening = min(width + 2.0 * (margin + part.sigma), widest)
             if opening - width < 2.0 * OPENING_MARGINS[-1] or width < narrowest:
                 continue
             clearance = _clearance(blocked, middle, axis, width, opening + 2.0 * thickness, across)

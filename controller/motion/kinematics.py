@@ -169,7 +169,7 @@ def branches(
         q[..., 2:, 4] = np.asarray(roll)[..., None] - math.pi
     q[..., 1:] -= 2.0 * math.pi * np.round(q[..., 1:] / (2.0 * math.pi))
     allowed = ((q >= c.low) & (q <= c.high)).all(axis=-1)
-    return q, allowed
+    return q, np.asarray(allowed)
 
 
 def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, roll: float = 0.0) -> Array:
@@ -219,7 +219,7 @@ def roll_for(arm: ArmDescription, azimuth: float, direction: float) -> tuple[flo
     roll = (azimuth + math.pi / 2 - direction + math.pi / 2) % math.pi - math.pi / 2
     if chain(arm).joints == _JOINTS_WITH_ROLL:
         return (roll, roll - math.copysign(math.pi, roll))
-    return (0.0,) if abs(roll) < 1e-6 else ()  # noqa: PLR2004
+    return (0.0,) if abs(roll) < 1e-6 else ()
 
 
 def closing_direction(arm: ArmDescription, q: ArrayLike) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from controller.domain import ArmDescription, Array
@@ -50,7 +51,7 @@ class Path:
 
 
 def speed_limits(arm: ArmDescription) -> Array:
-    """ndarray of shape (J,), rad/s."""
+    """Planned joint speeds at most: ndarray of shape (J,), rad/s."""
     return np.array([joint.speed_limit for joint in arm.joints])
 
 
@@ -95,7 +96,7 @@ def stroke(arm: ArmDescription, position: Sequence[float], posture: Array, rise:
     return Leg(lambda t, order: np.asarray(spline(t, order)), float(travel))
 
 
-def follow_branch(arm: ArmDescription, way: Array, posture: Array) -> tuple[Array, Array]:
+def follow_branch(arm: ArmDescription, way: Array, posture: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Joint angles along a way, in the branch of a posture: ndarray (N, J), rad, and (N,) of allowed ones.
 
     The waist and the wrist's roll stay as they are in `posture` where the branches differ by whole turns.
@@ -103,7 +104,7 @@ def follow_branch(arm: ArmDescription, way: Array, posture: Array) -> tuple[Arra
     below = float(posture[1:4].sum())
     facing = np.cos(posture[0] - np.arctan2(way[0, 1], way[0, 0] - chain(arm).axis[0])) > 0.0
     pitch = below if facing else np.pi - below
-    roll = float(posture[4]) if len(posture) > 4 else 0.0  # noqa: PLR2004
+    roll = float(posture[4]) if len(posture) > 4 else 0.0
     q, allowed = branches(arm, way, pitch, roll if facing else roll + np.pi)
     near = np.abs(q[0] - posture)
     near = np.minimum(near, 2.0 * np.pi - near).max(axis=-1)

@@ -21,11 +21,10 @@ from controller.domain import (
     Waypoint,
 )
 from controller.errors import LimitViolation, NoClearGrasp, PlanError, Unreachable
-from controller.geometry import transform
+from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps
 from controller.motion.gate import WALL_MARGIN, Gate, workspace
 from controller.motion.kinematics import (
-    TOP_DOWN,
     branches,
     chain,
     closing_direction,
@@ -194,7 +193,7 @@ class Planner:
 
     def _choices(self, target: LocatedObject, others: Sequence[LocatedObject]) -> list[grasps.Choice]:
         gripper = self.arm.gripper
-        if len(self.arm.joints) > 4:  # noqa: PLR2004
+        if len(self.arm.joints) > 4:
             offers = grasps.sides(target)
         else:
             x, y, _ = transform(self._T, [*target.center, 0.0])
@@ -228,7 +227,7 @@ class Planner:
             rolls = roll_for(self.arm, azimuth, direction + self._yaw) or (0.0,)
         roll = min(rolls, key=abs)
         for pitch in PITCHES:
-            ends = np.array([position, position + [0.0, 0.0, rise]])
+            ends = np.array([position, position + np.array([0.0, 0.0, rise])])
             q, allowed = branches(self.arm, ends, pitch, roll)
             if allowed[:, 0].all():
                 return _Stop(q[0, 0], q[1, 0], rise)
@@ -413,10 +412,10 @@ class Planner:
         return generate(self.arm, path, name, speed=self.speed, joint_offsets=self._offsets, payload=payload)
 
     def _waypoints(self, pick: _Stop, place: _Stop, finish: Array) -> tuple[Waypoint, ...]:
-        inverse_pose = np.linalg.inv(self._T)
+        T_table_base = invert(self._T)
         names = ("above part", "part", "above part", "above bin", "bin", "above bin", "finish")
         poses = np.array([pick.high, pick.low, pick.high, place.high, place.low, place.high, finish])
-        way = transform(inverse_pose, points(self.arm, poses)[:, 3])
+        way = transform(T_table_base, points(self.arm, poses)[:, 3])
         return tuple(
             Waypoint(name, (float(p[0]), float(p[1]), float(p[2]))) for name, p in zip(names, way, strict=True)
         )

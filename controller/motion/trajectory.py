@@ -41,7 +41,7 @@ class Timing:
 
 
 def acceleration_limits(arm: ArmDescription) -> Array:
-    """ndarray of shape (J,), rad/s^2."""
+    """Planned joint accelerations at most: ndarray of shape (J,), rad/s^2."""
     return np.array([joint.acceleration_limit for joint in arm.joints])
 
 
