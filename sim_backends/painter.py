@@ -1,0 +1,320 @@
+"""Pictures of the cell with OpenCV alone: what the simulated camera sees, and portraits for people.
+
+Order of painting: room, table, prints on it, soft shadows, then all solids far to near, hands' boards, and
+last what lens and sensor add. Edges are unbiased (see `painter_raster`); distortion and perspective are exact.
+
+Known limits: shadows fall on the table only; solids are convex.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backends.imperfections import Imperfections
+from sim_backends.lens import Lens
+from sim_backends.painter_raster import Region, blend, clean, coverage, fill, offset, region_of
+from sim_backends.painter_scene import Scene, View
+from sim_backends.painter_surface import Print, Projector, table_texture
+from sim_backends.solids import Array, Solid, box
+from sim_backends.world import Snapshot
+from sim_backends.world_model import TABLE_HIGH, TABLE_LOW, TABLE_THICKNESS
+
+Image = NDArray[np.uint8]
+
+_LAMP_SAMPLES = 6
+_LAMP_RADIUS = 0.055  # half width of the lamp as seen from the table, rad
+_AMBIENT = 0.42
+_ROOM = (62.0, 58.0, 56.0)
+_TABLE_EDGE = (118.0, 132.0, 142.0)
+_TEXTURE_PER_MM = 2.0
+# Fine pixels per pixel: small things are drawn finest, and the arm, whose size nobody measures, coarsest.
+_SMALL = 160
+_BLEED = 3.0  # how far inner faces are drawn beyond the outline that will cut them off, px
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What distinguishes one camera's pictures from another's; see `Imperfections` for the meaning."""
+
+    light_gradient: float
+    light_direction: float
+    lamp_azimuth: float
+    lamp_elevation: float
+    shadow_depth: float
+    vignette: float
+    exposure: float
+    blur: float
+    noise: float
+    seed: int
+
+    @classmethod
+    def of(cls, imperfections: Imperfections, seed: int) -> Look:
+        """The look that the imperfections ask for."""
+        i = imperfections
+        return cls(
+            i.light_gradient, i.light_direction, i.lamp_azimuth, i.lamp_elevation, i.shadow_depth,
+            i.vignette, i.exposure, i.blur, i.noise, seed,
+        )  # fmt: skip
+
+
+class Painter:
+    """Paints one world for one camera.
+
+    Args:
+        solids: Everything convex in the world.
+        bodies: Index of the body that carries each, as in a snapshot.
+        parts: Which of the solids are parts (not painted while they are set aside).
+        lens: The camera.
+        look: Light, lens and sensor.
+        decals: Pictures shown on solids that name them: the print in the coordinates of the solid's body.
+    """
+
+    def __init__(
+        self,
+        solids: Sequence[Solid],
+        bodies: Sequence[int],
+        parts: Sequence[bool],
+        lens: Lens,
+        look: Look,
+        decals: Mapping[str, Print],
+    ) -> None:
+        self.lens = lens
+        self._look = look
+        self._scene = Scene(solids, bodies)
+        self._bodies = tuple(bodies)
+        self._parts = np.asarray(parts, bool)
+        self._decals = {i: decals[s.decal] for i, s in enumerate(solids) if s.decal}
+        self._projector = Projector(lens)
+        self._lamp = _direction(look.lamp_azimuth, look.lamp_elevation)
+        self._lamps = self._lamp_samples()
+        self._colours = np.array([s.colour for s in solids for _ in s.faces])
+        self._ground = self._paint_ground()
+        self._light = self._light_field()
+        self._noise = self._noise_bank()
+        self._noise_random = np.random.default_rng([look.seed, 6])
+
+    def paint(self, snapshot: Snapshot, sheet: Print | None = None, board: Print | None = None) -> Image:
+        """The picture, (H, W, 3), dtype uint8, BGR.
+
+        Args:
+            snapshot: The moment.
+            sheet: A print that lies on the table.
+            board: A print held between everything else and the camera.
+        """
+        picture = self._ground.copy()
+        if sheet is not None:
+            self._lay(picture, sheet)
+        vertices = self._scene.move(snapshot.positions, snapshot.rotations)
+        shown = ~self._parts if snapshot.aside else np.ones(len(self._parts), bool)
+        self._shade(picture, vertices, shown)
+        view = self._scene.view(vertices, self.lens, shown)
+        tones = self._tones(view.normals)
+        for index in view.order:
+            self._solid(picture, view, index, tones, snapshot)
+        if board is not None:
+            self._lay(picture, board)
+        return self._expose(picture)
+
+    # --- light -----------------------------------------------------------------------------------------------
+
+    def _tones(self, normals: Array) -> Array:
+        """Lambert's colour of every face; a face that looks straight up has its own colour."""
+        up = _AMBIENT + (1.0 - _AMBIENT) * self._lamp[2]
+        # Light from the whole sky reaches a face that looks sideways by half.
+        sky = 0.5 + 0.5 * normals[:, 2]
+        light = _AMBIENT * (0.35 + 0.65 * sky) + (1.0 - _AMBIENT) * np.maximum(0.0, normals @ self._lamp)
+        return np.asarray(np.minimum(self._colours * (light / up)[:, None], 255.0))
+
+    def _lamp_samples(self) -> Array:
+        """Directions to points of the lamp's disc, (L, 3)."""
+        side = np.cross(self._lamp, (0.0, 0.0, 1.0))
+        side /= np.linalg.norm(side)
+        other = np.cross(self._lamp, side)
+        angles = 2.0 * math.pi * np.arange(_LAMP_SAMPLES) / _LAMP_SAMPLES
+        rim = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+        return np.asarray(self._lamp + _LAMP_RADIUS * rim)
+
+    def _shade(self, picture: Image, vertices: Array, shown: NDArray[np.bool_]) -> None:
+        """Darken the table where solids stand in the light."""
+        depth = self._look.shadow_depth
+        if depth <= 0.0:
+            return
+        width, height = self.lens.size
+        half = (width // 2, height // 2)
+        slope = self._lamps[:, :2] / self._lamps[:, 2:]
+        z = np.maximum(vertices[:, 2], 0.0)
+        flat = vertices[None, :, :2] - z[None, :, None] * slope[:, None, :]
+        ground = np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
+        pixels, ahead = self.lens.project(ground.reshape(-1, 3))
+        # Half resolution, 4 fractional bits; far away is as good as out of the picture.
+        points = np.clip((pixels + 0.5) / 2.0 - 0.5, -2000.0, 4000.0).reshape(len(slope), -1, 2).astype(np.float32)
+        total = np.zeros((half[1], half[0]), np.uint8)
+        mask = np.empty_like(total)
+        share = 255.0 / len(slope)
+        wanted = [i for i in np.flatnonzero(shown) if self._casts(i, points, ahead.reshape(len(slope), -1), vertices, half)]
+        if not wanted:
+            return
+        for lamp in range(len(slope)):
+            mask[:] = 0
+            for index in wanted:
+                hull = cv2.convexHull(points[lamp, self._scene.vertices_of(index)])
+                cv2.fillConvexPoly(mask, np.rint(hull * 16.0).astype(np.int32), share, cv2.LINE_AA, 4)  # type: ignore[call-overload]
+            cv2.add(total, mask, dst=total)
+        soft = cv2.GaussianBlur(total, (0, 0), 1.2)
+        full = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
+        gain = cv2.convertScaleAbs(full, alpha=-depth, beta=255.0)
+        cv2.multiply(picture, cv2.merge([gain, gain, gain]), dst=picture, scale=1 / 255.0)
+
+    def _casts(
+        self, index: int, points: NDArray[np.float32], ahead: NDArray[np.bool_], vertices: Array, size: tuple[int, int]
+    ) -> bool:
+        rows = self._scene.vertices_of(index)
+        if not ahead[:, rows].all() or vertices[rows, 2].max() < 0.5:
+            return False
+        own = points[:, rows].reshape(-1, 2)
+        low, high = own.min(axis=0), own.max(axis=0)
+        return bool((high > 0.0).all() and (low < size).all())
+
+    def _light_field(self) -> NDArray[np.float32] | None:
+        """Gain of every pixel, (H, W, 3), for uneven light, vignetting and exposure."""
+        look = self._look
+        if look.light_gradient == 0.0 and look.vignette == 0.0 and look.exposure == 1.0:
+            return None
+        width, height = self.lens.size
+        x = (np.arange(width, dtype=np.float32) - width / 2) / (width / 2)
+        y = (np.arange(height, dtype=np.float32) - height / 2) / (width / 2)
+        along = np.add.outer(math.sin(look.light_direction) * y, math.cos(look.light_direction) * x)
+        span = float(along.max() - along.min())
+        gain = 1.0 - look.light_gradient * (along - along.min()) / span
+        radius = np.add.outer(y**2, x**2)
+        gain *= (1.0 - look.vignette * radius / radius.max()) * look.exposure
+        return np.asarray(cv2.merge([gain, gain, gain]), np.float32)
+
+    # --- surfaces ----------------------------------------------------------------------------------------------
+
+    def _paint_ground(self) -> Image:
+        """Room and table, the part of every picture that never changes."""
+        width, height = self.lens.size
+        picture = np.empty((height, width, 3), np.uint8)
+        picture[:] = np.array(_ROOM, np.uint8)
+        self._paint_table_edge(picture)
+        region = (0, 0, width, height)
+        texture = table_texture(self._look.seed, TABLE_LOW, TABLE_HIGH, _TEXTURE_PER_MM)
+        at = self._projector.plane(np.eye(4), region)
+        pixels = (at - np.float32(TABLE_LOW)) * np.float32(_TEXTURE_PER_MM) - np.float32(0.5)
+        # Where the table ends is found on a finer grid, so that its edge is smooth.
+        fine = self._projector.plane(np.eye(4), region, 2)
+        inside = ((fine > np.float32(TABLE_LOW)) & (fine < np.float32(TABLE_HIGH))).all(axis=2)
+        inside &= self._looks_down(region, 2)
+        mask = cv2.resize(inside.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)
+        top = cv2.remap(texture, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        blend(picture, np.asarray(top, np.uint8), np.asarray(mask, np.uint8), region)
+        return picture
+
+    def _looks_down(self, region: Region, oversample: int) -> NDArray[np.bool_]:
+        """Which rays meet the table's plane in front of the camera."""
+        rays = self._projector._finer(region, oversample)
+        down = rays @ self.lens.T_base_camera[2, :2].astype(np.float32) + np.float32(self.lens.T_base_camera[2, 2])
+        return np.asarray(down < 0.0)
+
+    def _paint_table_edge(self, picture: Image) -> None:
+        slab = box((*TABLE_LOW, -TABLE_THICKNESS), (*TABLE_HIGH, 0.0), body="world", colour=_TABLE_EDGE)
+        scene = Scene([slab], [0])
+        vertices = scene.move(np.zeros((1, 3)), np.eye(3)[None])
+        view = scene.view(vertices, self.lens, np.ones(1, bool))
+        for index in view.order:
+            for number in range(2, 6):
+                if view.visible[number]:
+                    ring, _ = scene.face(view, index, number)
+                    fill(picture, clean(ring), tuple(c * (0.6 + 0.08 * number) for c in _TABLE_EDGE))
+
+    def _lay(self, picture: Image, print_: Print) -> None:
+        """A print, lit as its plane is."""
+        pixels, ahead = self.lens.project(_rim(print_))
+        region = region_of(pixels, self.lens.size)
+        if region is None or not ahead.all():
+            return
+        seen, mask = self._projector.warp(print_, region)
+        blend(picture, seen, mask, region)
+
+    # --- solids ------------------------------------------------------------------------------------------------
+
+    def _solid(self, picture: Image, view: View, index: int, tones: Array, snapshot: Snapshot) -> None:
+        outline = clean(self._scene.outline(view, index))
+        if len(outline) < 3:
+            return
+        region = region_of(outline, self.lens.size)
+        if region is None:
+            return
+        x0, y0, x1, y1 = region
+        large = max(x1 - x0, y1 - y0) > _SMALL
+        mask = coverage(outline, region, 2 if large else 4)
+        patch = np.empty((y1 - y0, x1 - x0, 3), np.uint8)
+        face0 = self._scene.face_starts[index]
+        faces = [n for n in range(len(self._scene.solids[index].faces)) if view.visible[face0 + n]]
+        origin = np.array([x0, y0], np.float64)
+        # Face 0 last: the top's rim is the one inner edge that anybody measures.
+        for number in sorted(faces, reverse=True):
+            self._face(patch, view, index, number, tones[face0 + number], origin)
+        blend(picture, patch, mask, region)
+        decal = self._decals.get(index)
+        if decal is not None and view.visible[face0]:
+            self._lay(picture, self._carried(decal, index, snapshot))
+
+    def _face(self, patch: Image, view: View, index: int, number: int, tone: Array, origin: Array) -> None:
+        ring, inner = self._scene.face(view, index, number)
+        step = np.abs(np.roll(ring, -1, axis=0) - ring).max(axis=1)
+        ring, inner = ring[step > 1e-2] - origin, inner[step > 1e-2]
+        if len(ring) < 3:
+            return
+        # Beyond the outline there is nothing to spare; towards another face the rim lies where it is.
+        outwards = np.where(inner, -0.665 if number == 0 else 0.0, _BLEED)
+        fill(patch, offset(ring, outwards), tuple(float(c) for c in tone))
+
+    def _carried(self, decal: Print, index: int, snapshot: Snapshot) -> Print:
+        body = self._bodies[index]
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = snapshot.rotations[body], snapshot.positions[body]
+        return Print(decal.picture, decal.pixel_mm, T @ decal.T_base_print, decal.y_up, decal.ink, decal.paper)
+
+    # --- lens and sensor -----------------------------------------------------------------------------------------
+
+    def _expose(self, picture: Image) -> Image:
+        look = self._look
+        if self._light is not None:
+            picture = np.asarray(cv2.multiply(picture, self._light, dtype=cv2.CV_8U), np.uint8)
+        if look.blur > 0.0:
+            picture = np.asarray(cv2.GaussianBlur(picture, (5, 5), look.blur), np.uint8)
+        if self._noise is not None:
+            height, width = picture.shape[:2]
+            y, x = (int(v) for v in self._noise_random.integers(0, 256, 2))
+            noise = self._noise[y : y + height, x : x + width]
+            picture = np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), np.uint8)
+        return picture
+
+    def _noise_bank(self) -> NDArray[np.int8] | None:
+        """Noise for more than one picture; each takes its window at random."""
+        if self._look.noise <= 0.0:
+            return None
+        random = np.random.default_rng([self._look.seed, 5])
+        width, height = self.lens.size
+        noise = random.standard_normal((height + 256, width + 256, 3), np.float32) * self._look.noise
+        return np.asarray(np.clip(np.rint(noise), -127, 127), np.int8)
+
+
+def _direction(azimuth: float, elevation: float) -> Array:
+    level = math.cos(elevation)
+    return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+
+
+def _rim(print_: Print) -> Array:
+    """Points along the print's edge, (32, 3), close enough together to bound it in the picture."""
+    corners = print_.corners
+    share = np.arange(8)[:, None, None] / 8.0
+    return np.asarray((corners * (1.0 - share) + np.roll(corners, -1, axis=0) * share).reshape(-1, 3))

@@ -1,0 +1,205 @@
+"""The parts on the table: what they are, and a seeded hand that scatters them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from sim_backends.imperfections import Imperfections
+from sim_backends.solids import Array, disc, regular
+
+SHAPES = (Shape.SQUARE, Shape.RECTANGLE, Shape.CIRCLE, Shape.HEXAGON, Shape.TRIANGLE)
+
+# BGR albedo of dyed plastic.
+COLOURS: Mapping[str, tuple[float, float, float]] = {
+    "red": (48.0, 44.0, 196.0),
+    "orange": (40.0, 122.0, 232.0),
+    "yellow": (52.0, 202.0, 236.0),
+    "green": (74.0, 150.0, 52.0),
+    "blue": (186.0, 104.0, 38.0),
+    "purple": (146.0, 58.0, 122.0),
+}
+
+# kg/mm^3: printed plastic with a filling; a 43 mm square weighs 17 g.
+DENSITY = 0.45e-6
+RECTANGLE_ASPECT = 1.4
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One upright prism as it is put on the table.
+
+    Attributes:
+        shape: Any of `SHAPES`.
+        colour: A name of `COLOURS`.
+        grip: Extent between the jaws across its flats (triangle: its altitude; circle: its diameter), mm.
+        height: mm.
+        mass: kg.
+        friction: Coefficient against anything.
+        x, y: Where its centroid is put, in `base`, mm.
+        yaw: Turn about z, rad.
+    """
+
+    shape: Shape
+    colour: str
+    grip: float
+    height: float
+    mass: float
+    friction: float
+    x: float
+    y: float
+    yaw: float
+
+    @property
+    def outline(self) -> Array:
+        """Corners (N, 2) about the centroid, counter-clockwise, one side along x; mm."""
+        return outline(self.shape, self.grip)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """(long, short) side of the minimum-area rectangle, mm."""
+        return size(self.shape, self.grip)
+
+
+def outline(shape: Shape, grip: float) -> Array:
+    """Corners (N, 2) of a shape about its centroid, counter-clockwise, one side along x, mm."""
+    if shape is Shape.CIRCLE:
+        return disc(grip)
+    if shape is Shape.HEXAGON:
+        return regular(6, grip / math.sqrt(3.0))
+    if shape is Shape.TRIANGLE:
+        return regular(3, 2.0 / 3.0 * grip, math.pi / 2.0)
+    a = grip / 2.0 * (RECTANGLE_ASPECT if shape is Shape.RECTANGLE else 1.0)
+    b = grip / 2.0
+    return np.array([[-a, -b], [a, -b], [a, b], [-a, b]])
+
+
+def size(shape: Shape, grip: float) -> tuple[float, float]:
+    """(long, short) side of the shape's minimum-area rectangle, mm."""
+    long = {
+        Shape.RECTANGLE: RECTANGLE_ASPECT * grip,
+        Shape.HEXAGON: 2.0 / math.sqrt(3.0) * grip,
+        Shape.TRIANGLE: 2.0 / math.sqrt(3.0) * grip,
+    }.get(shape, grip)
+    return long, grip
+
+
+def area(ring: Array) -> float:
+    """Area of a polygon of shape (N, 2)."""
+    x, y = ring.T
+    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2.0)
+
+
+def placed(ring: Array, x: float, y: float, yaw: float) -> Array:
+    """A ring (N, 2) turned by `yaw` and moved to (x, y)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.asarray(ring @ np.array([[c, s], [-s, c]]) + (x, y))
+
+
+def gap(a: Array, b: Array) -> float:
+    """Distance between two convex rings, mm; negative (their least overlap) when they overlap.
+
+    The largest separation along any side's normal bounds the distance from below; for corners that face
+    each other the distance of the nearest corner to the nearest side is exact.
+    """
+    best = -math.inf
+    for p, q in ((a, b), (b, a)):
+        sides = np.roll(p, -1, axis=0) - p
+        normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
+        best = max(best, float(((q[None] - p[:, None]) @ normals[:, :, None]).min(axis=1).max()))
+    if best <= 0.0:
+        return best
+    return min(_corner_distance(a, b), _corner_distance(b, a))
+
+
+def _corner_distance(a: Array, b: Array) -> float:
+    start, step = b, np.roll(b, -1, axis=0) - b
+    t = ((a[:, None] - start) * step).sum(-1) / (step**2).sum(-1)
+    nearest = start + np.clip(t, 0.0, 1.0)[..., None] * step
+    return float(np.linalg.norm(a[:, None] - nearest, axis=-1).min())
+
+
+@dataclass(frozen=True, slots=True)
+class WorkArea:
+    """Annular sector around the arm's base in which the centres of parts are scattered; mm, rad."""
+
+    radius: tuple[float, float] = (150.0, 260.0)
+    azimuth: tuple[float, float] = (-math.radians(50.0), math.radians(50.0))
+
+
+def scatter(
+    count: int,
+    seed: int,
+    imperfections: Imperfections,
+    heights: Mapping[Shape, float],
+    grips: Sequence[float],
+    area_: WorkArea,
+) -> tuple[Part, ...]:
+    """`count` parts, uniform over the work area; the same for the same seed.
+
+    When so many parts do not fit with the wanted gap, the gap shrinks in steps until they do.
+    """
+    random = np.random.default_rng([seed, 3])
+    # Shapes come round in turn from a random start, so that a table of five has all of them.
+    start = int(random.integers(len(SHAPES)))
+    kinds = [
+        _kind(random, SHAPES[(start + index) % len(SHAPES)], imperfections, heights, grips) for index in range(count)
+    ]
+    wanted = imperfections.part_gap
+    for attempt in range(2000):
+        # Twenty fresh starts at the full gap; 3 % of it less at each later one.
+        distance = wanted * 0.97 ** max(0, attempt - 20) if wanted > 0.0 else 0.2
+        places = _places(random, [kind[3] for kind in kinds], distance, area_)
+        if places is not None:
+            return tuple(
+                Part(shape, colour, grip, heights[shape], mass, friction, x, y, yaw)
+                for (shape, colour, grip, _, mass, friction), (x, y, yaw) in zip(kinds, places, strict=True)
+            )
+    raise ValueError(f"{count} parts do not fit into the work area")
+
+
+def _kind(
+    random: np.random.Generator,
+    shape: Shape,
+    imperfections: Imperfections,
+    heights: Mapping[Shape, float],
+    grips: Sequence[float],
+) -> tuple[Shape, str, float, Array, float, float]:
+    colour = list(COLOURS)[int(random.integers(len(COLOURS)))]
+    tolerance = imperfections.size_tolerance
+    grip = float(grips[int(random.integers(len(grips)))]) + float(random.uniform(-tolerance, tolerance))
+    ring = outline(shape, grip)
+    spread = imperfections.mass_tolerance
+    mass = DENSITY * area(ring) * heights[shape] * (1.0 + float(random.uniform(-spread, spread)))
+    friction = float(random.uniform(*imperfections.friction))
+    return shape, colour, grip, ring, mass, friction
+
+
+def _places(
+    random: np.random.Generator, rings: Sequence[Array], distance: float, area_: WorkArea
+) -> list[tuple[float, float, float]] | None:
+    done: list[tuple[float, float, float]] = []
+    outlines: list[NDArray[np.float64]] = []
+    for ring in rings:
+        reach = float(np.linalg.norm(ring, axis=1).max())
+        for _ in range(60):
+            radius = math.sqrt(random.uniform(area_.radius[0] ** 2, area_.radius[1] ** 2))
+            azimuth = random.uniform(*area_.azimuth)
+            x, y, yaw = radius * math.cos(azimuth), radius * math.sin(azimuth), random.uniform(-math.pi, math.pi)
+            here = placed(ring, x, y, yaw)
+            if all(
+                math.dist((x, y), (u, v)) > reach + float(np.linalg.norm(other - (u, v), axis=1).max()) + distance
+                or gap(here, other) >= distance
+                for (u, v, _), other in zip(done, outlines, strict=True)
+            ):
+                done.append((x, y, yaw))
+                outlines.append(here)
+                break
+        else:
+            return None
+    return done

@@ -1,0 +1,429 @@
+"""The mechanical world: an arm, parts, bins and a table in MuJoCo, turned by the shafts of virtual servos.
+
+The world owns simulated time. Whatever else is simulated (servos, camera, clock) asks it to advance.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import ArmDescription, Bin
+from sim_backends.arm_shape import LEFT, RIGHT, MarkerMount, arm_solids, link_name
+from sim_backends.imperfections import Imperfections
+from sim_backends.parts import COLOURS, Part
+from sim_backends.plant import Drive, Shaft
+from sim_backends.solids import Array, Solid
+from sim_backends.world_model import (
+    FLOOR,
+    HORN,
+    MM,
+    STEP,
+    bin_solids,
+    build,
+    mechanics,
+    part_name,
+    part_solid,
+    servo_angle,
+    servo_joints,
+)
+
+# Contacts are looked at and play is redistributed every so many steps: 10 ms, in which a fast arm moves 5 mm.
+_LOOK_EVERY = 5
+# The past of the parts is kept at this spacing, in steps: 0.1 s.
+_REMEMBER_EVERY = 50
+# Touching again within this time is the same collision, s.
+_SAME_COLLISION = 0.25
+# Torque at which the play of a gear lies wholly on one flank, Nm.
+_FLANK_TORQUE = 0.04
+
+_OTHER, _LINK, _JAW, _PART, _FIXED = range(5)
+
+
+@dataclass(frozen=True, slots=True)
+class Collision:
+    """The arm touched something else than the part between its jaws.
+
+    Attributes:
+        at: When it began, s.
+        arm: What of the arm: `link3`, `finger_left`, ...
+        other: What it touched: `table`, the name of a bin, or `part4`.
+    """
+
+    at: float
+    arm: str
+    other: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Where everything is at one moment; what pictures are painted from.
+
+    Attributes:
+        at: s.
+        positions: ndarray of shape (B, 3): origins of all bodies in `base`, mm.
+        rotations: ndarray of shape (B, 3, 3): body into `base`.
+        aside: The parts are off the table, out of every picture.
+    """
+
+    at: float
+    positions: Array
+    rotations: Array
+    aside: bool
+
+
+@dataclass(slots=True)
+class _Servo:
+    joint: str
+    actuator: int
+    position: int
+    dof: int
+    sign: float
+    offset: float
+    play: float
+    drive: Drive
+
+
+class World:
+    """Physics of one cell; a `Plant` for the servo bus. Not thread-safe.
+
+    Args:
+        arm: The arm as described; its links and mounting get the imperfections.
+        bins: Boxes on the table, given in `table`.
+        T_base_table: Where the bins' `table` is (nominal), shape (4, 4).
+        parts: What lies on the table.
+        imperfections: What is not as described.
+        marker: The plate on the gripper.
+        T_tool_marker: Where it truly is; None for its nominal place.
+    """
+
+    def __init__(
+        self,
+        arm: ArmDescription,
+        bins: Sequence[Bin],
+        T_base_table: Array,
+        parts: Sequence[Part],
+        imperfections: Imperfections,
+        marker: MarkerMount | None = None,
+        T_tool_marker: Array | None = None,
+    ) -> None:
+        marker = marker or MarkerMount()
+        self.arm = arm
+        self.bins = tuple(bins)
+        self.parts = tuple(parts)
+        self._T_bins = T_base_table
+        shape = arm_solids(arm, marker, marker.T_tool_marker if T_tool_marker is None else T_tool_marker)
+        boxes = bin_solids(bins, T_base_table)
+        self.solids: tuple[Solid, ...] = (
+            *(s for solids in boxes.values() for s in solids),
+            *shape,
+            *(part_solid(i, p, COLOURS[p.colour]) for i, p in enumerate(parts)),
+        )
+        self._model = mujoco.MjModel.from_xml_string(build(arm, shape, boxes, parts, imperfections))
+        self._data = mujoco.MjData(self._model)
+        self._steps = 0
+        self._carry = 0.0
+        self._callbacks: list[Callable[[float], None]] = []
+        self._friction_damping = self._model.dof_damping.copy()
+        self._servos = self._find_servos(imperfections)
+        self._kinds, self._names, self._part_of = self._classify()
+        self._part_qpos = np.array(
+            [self._model.joint(part_name(i)).qposadr[0] + np.arange(7) for i in range(len(parts))], dtype=np.intp
+        ).reshape(-1, 7)
+        self._tool_body = self._model.body(link_name(len(arm.joints) - 1)).id
+        self._jaw_qpos = self._model.joint(LEFT).qposadr[0]
+        self.collisions: list[Collision] = []
+        self._last_touch: dict[tuple[str, str], float] = {}
+        self._held: frozenset[int] = frozenset()
+        self._aside = False
+        self._past_times: list[float] = []
+        self._past: list[tuple[NDArray[np.float64], frozenset[int]]] = []
+        self._pose_at_rest()
+        self.remember()
+
+    # --- the plant -------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """Simulated time, s."""
+        return self._steps * STEP
+
+    def advance(self, seconds: float) -> None:
+        """Let `seconds` of simulated time pass in whole steps of 2 ms; the remainder is carried over."""
+        self._carry += max(0.0, seconds)
+        steps = int(self._carry / STEP + 1e-6)
+        self._carry -= steps * STEP
+        model, data = self._model, self._data
+        while steps > 0:
+            run = min(steps, _LOOK_EVERY - self._steps % _LOOK_EVERY)
+            if self._callbacks:
+                for _ in range(run):
+                    for callback in self._callbacks:
+                        callback(STEP)
+                    mujoco.mj_step(model, data)
+                    self._steps += 1
+            else:
+                mujoco.mj_step(model, data, run)
+                self._steps += run
+            steps -= run
+            if self._steps % _LOOK_EVERY == 0:
+                self._look()
+                if self._steps % _REMEMBER_EVERY == 0:
+                    self.remember()
+
+    def shaft(self, servo_id: int) -> Shaft:
+        """The shaft of one servo: joint angle plus mounting offset plus play, turned as the servo is mounted."""
+        servo = self._servos[servo_id]
+        data = self._data
+        velocity = float(data.qvel[servo.dof])
+        torque = float(data.actuator_force[servo.actuator])
+        return Shaft(
+            servo.sign * (float(data.qpos[servo.position]) + servo.offset + servo.play),
+            servo.sign * velocity,
+            servo.sign * (torque - servo.drive.damping * velocity),
+        )
+
+    def drive(self, servo_id: int, drive: Drive) -> None:
+        """Let a servo do this from now on."""
+        servo = self._servos[servo_id]
+        before, servo.drive = servo.drive, drive
+        model, a = self._model, servo.actuator
+        self._aim(servo)
+        if drive.stiffness != before.stiffness:
+            model.actuator_gainprm[a, 0] = drive.stiffness
+            model.actuator_biasprm[a, 1] = -drive.stiffness
+        if drive.bias != before.bias:
+            model.actuator_biasprm[a, 0] = servo.sign * drive.bias
+        if drive.limit != before.limit:
+            # A range of zero width would mean no limit at all to MuJoCo.
+            limit = max(drive.limit, 1e-9)
+            model.actuator_forcerange[a] = (-limit, limit)
+        if drive.damping != before.damping:
+            together = sum(s.drive.damping for s in self._servos.values() if s.dof == servo.dof)
+            model.dof_damping[servo.dof] = self._friction_damping[servo.dof] + together
+
+    def on_step(self, callback: Callable[[float], None]) -> None:
+        """Have `callback(dt)` called before every physics step of `dt` s."""
+        self._callbacks.append(callback)
+
+    # --- what can be known about it -----------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """Where every body is now."""
+        data = self._data
+        # mj_step leaves poses one step behind the joint angles.
+        mujoco.mj_kinematics(self._model, data)
+        return Snapshot(
+            self.now(), data.xpos / MM, data.xmat.reshape(-1, 3, 3).copy(), self._aside
+        )
+
+    def body(self, name: str) -> int:
+        """Index of a body in a snapshot; `world` is 0."""
+        return int(self._model.body(name).id)
+
+    def tool_pose(self) -> Array:
+        """True pose of the grasp point in `base`, shape (4, 4), mm."""
+        mujoco.mj_kinematics(self._model, self._data)
+        out = np.eye(4)
+        out[:3, :3] = self._data.xmat[self._tool_body].reshape(3, 3)
+        out[:3, 3] = self._data.xpos[self._tool_body] / MM + out[:3, :3] @ np.array(self.arm.tool)
+        return out
+
+    def joint_angles(self) -> Array:
+        """True joint angles, base to tool, rad."""
+        return np.array([self._data.qpos[self._servos[j.servo_id].position] for j in self.arm.joints])
+
+    def opening(self) -> float:
+        """True clear opening of the jaws, mm."""
+        return 2.0 * float(self._data.qpos[self._jaw_qpos]) / MM
+
+    @property
+    def held(self) -> frozenset[int]:
+        """Parts that both jaws touch."""
+        return self._held
+
+    @property
+    def aside(self) -> bool:
+        """The parts are off the table."""
+        return self._aside
+
+    def part_poses(self) -> NDArray[np.float64]:
+        """ndarray of shape (P, 7): position (mm, `base`) and unit quaternion (w, x, y, z) of every part's centre."""
+        poses = self._data.qpos[self._part_qpos]
+        poses[:, :3] /= MM
+        return np.asarray(poses)
+
+    def past(self, at: float) -> tuple[NDArray[np.float64], frozenset[int]]:
+        """`part_poses` and `held` at the remembered moment nearest to `at`; exact where `remember` was called."""
+        index = bisect_left(self._past_times, at)
+        near = [i for i in (index - 1, index) if 0 <= i < len(self._past_times)]
+        return self._past[min(near, key=lambda i: abs(self._past_times[i] - at))]
+
+    def remember(self) -> None:
+        """Keep where the parts are now, for `past`."""
+        now = self.now()
+        if self._past_times and self._past_times[-1] == now:
+            self._past_times.pop()
+            self._past.pop()
+        self._past_times.append(now)
+        self._past.append((self.part_poses(), self._held))
+
+    # --- what people do to it ---------------------------------------------------------------------------
+
+    def set_aside(self) -> None:
+        """Take every part off the table, out of the way and the picture."""
+        for index, address in enumerate(self._part_qpos):
+            row, column = divmod(index, 8)
+            at = (1.2 + 0.15 * row, 0.15 * column - 0.6, FLOOR * MM + self.parts[index].height * MM / 2.0)
+            self._put(address, (*at, 1.0, 0.0, 0.0, 0.0))
+        self._aside = True
+        self._settled()
+
+    def put_back(self) -> None:
+        """Put every part where it lay at the start."""
+        for part, address in zip(self.parts, self._part_qpos, strict=True):
+            turn = (math.cos(part.yaw / 2.0), 0.0, 0.0, math.sin(part.yaw / 2.0))
+            self._put(address, (part.x * MM, part.y * MM, part.height * MM / 2.0, *turn))
+        self._aside = False
+        self._settled()
+
+    # --- inside -------------------------------------------------------------------------------------------
+
+    def _put(self, address: NDArray[np.intp], pose: tuple[float, ...]) -> None:
+        self._data.qpos[address] = pose
+        dof = self._model.jnt_dofadr[self._model.jnt_qposadr.tolist().index(address[0])]
+        self._data.qvel[dof : dof + 6] = 0.0
+
+    def _settled(self) -> None:
+        """Start the solver afresh: what slept on old contacts must not sleep on."""
+        data = self._data
+        keep = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = keep
+        data.time = self.now()
+        self._held = frozenset()
+        mujoco.mj_forward(self._model, data)
+        self.remember()
+
+    def _find_servos(self, imperfections: Imperfections) -> dict[int, _Servo]:
+        ids: list[tuple[int, float, float, float]] = []
+        for index, joint in enumerate(self.arm.joints):
+            sign = -1.0 if joint.reverse else 1.0
+            ids.append((joint.servo_id, sign, imperfections.joint_offsets[index], imperfections.backlash[index]))
+            if joint.shadow_id is not None:
+                # The shadow faces its partner across the joint, so its shaft turns the other way.
+                ids.append((joint.shadow_id, -sign, *ids[-1][2:]))
+        ids.append((self.arm.gripper.servo_id, -1.0 if self.arm.gripper.reverse else 1.0, 0.0, 0.0))
+        servos = {}
+        self._backlash = {}
+        for (servo_id, sign, offset, backlash), (actuator, joint_name) in zip(
+            ids, servo_joints(self.arm), strict=True
+        ):
+            handle = self._model.joint(joint_name)
+            servos[servo_id] = _Servo(
+                joint_name,
+                self._model.actuator(actuator).id,
+                int(handle.qposadr[0]),
+                int(handle.dofadr[0]),
+                sign,
+                offset,
+                0.0,
+                Drive(),
+            )
+            if backlash > 0.0:
+                self._backlash[servo_id] = backlash
+        return servos
+
+    def _aim(self, servo: _Servo) -> None:
+        self._data.ctrl[servo.actuator] = servo.sign * servo.drive.target - servo.offset - servo.play
+
+    def _pose_at_rest(self) -> None:
+        """Stand at rest, jaws open, held there until a bus takes over."""
+        data = self._data
+        wanted = {j.servo_id: angle for j, angle in zip(self.arm.joints, self.arm.rest, strict=True)}
+        wanted |= {j.shadow_id: wanted[j.servo_id] for j in self.arm.joints if j.shadow_id is not None}
+        wanted[self.arm.gripper.servo_id] = servo_angle(self.arm.gripper, self.arm.gripper.opening[1])
+        for servo_id, angle in wanted.items():
+            data.qpos[self._servos[servo_id].position] = angle
+        half = self.arm.gripper.opening[1] / 2.0 * MM
+        for jaw in (LEFT, RIGHT):
+            data.qpos[self._model.joint(jaw).qposadr[0]] = half
+        mujoco.mj_forward(self._model, data)
+
+    def _classify(self) -> tuple[NDArray[np.int8], list[str], NDArray[np.intp]]:
+        """Kind, name and part index of every geom."""
+        model = self._model
+        kinds = np.full(model.ngeom, _OTHER, np.int8)
+        part_of = np.full(model.ngeom, -1, np.intp)
+        names = []
+        for geom in range(model.ngeom):
+            own, body = model.geom(geom).name, model.body(model.geom_bodyid[geom]).name
+            names.append(own.split("/")[0])
+            if body.startswith("link"):
+                kinds[geom] = _LINK
+            elif body in (LEFT, RIGHT):
+                kinds[geom] = _JAW
+            elif body.startswith("part"):
+                kinds[geom], part_of[geom] = _PART, int(body[4:])
+            elif body == "world" and own != "floor":
+                kinds[geom] = _FIXED
+        return kinds, names, part_of
+
+    def _look(self) -> None:
+        """Note what the arm touches, and let the play of each gear follow its load."""
+        self._shift_play()
+        data = self._data
+        count = data.ncon
+        held: dict[int, set[str]] = {}
+        if count:
+            pairs = data.contact.geom[:count]
+            kinds = self._kinds[pairs]
+            for row in np.flatnonzero(((kinds == _LINK) | (kinds == _JAW)).any(axis=1)):
+                first, second = pairs[row]
+                mine, other = (first, second) if kinds[row, 0] in (_LINK, _JAW) else (second, first)
+                part = int(self._part_of[other])
+                if part >= 0 and self._between_jaws(part):
+                    if self._kinds[mine] == _JAW:
+                        held.setdefault(part, set()).add(self._names[mine])
+                    continue
+                self._collide(self._names[mine], self._names[other])
+        self._held = frozenset(part for part, jaws in held.items() if len(jaws) == 2)
+
+    def _between_jaws(self, part: int) -> bool:
+        """The centre of the part lies in the space between the jaws."""
+        data = self._data
+        rotation = data.xmat[self._tool_body].reshape(3, 3)
+        offset = data.qpos[self._part_qpos[part, :3]] - data.xpos[self._tool_body]
+        x, y, z = rotation.T @ offset / MM - self.arm.tool
+        gripper = self.arm.gripper
+        return bool(
+            abs(y) < self.opening() / 2.0 and abs(z) < 1.5 * gripper.jaw_size[1] and -25.0 < x < gripper.jaw_depth + 5.0
+        )
+
+    def _collide(self, arm: str, other: str) -> None:
+        now = self.now()
+        last = self._last_touch.get((arm, other), -math.inf)
+        self._last_touch[arm, other] = now
+        if now - last > _SAME_COLLISION:
+            self.collisions.append(Collision(now, arm, other))
+
+    def _shift_play(self) -> None:
+        """The encoder sits on the motor's side of the play; the link leans on the flank its load presses it to.
+
+        The play moves towards its place by a part each time: gears do not jump, and the loop through the
+        servo's stiffness stays tame.
+        """
+        for servo_id, backlash in self._backlash.items():
+            servo = self._servos[servo_id]
+            torque = float(self._data.actuator_force[servo.actuator])
+            wanted = 0.5 * backlash * math.tanh(torque / _FLANK_TORQUE)
+            servo.play += 0.4 * (wanted - servo.play)
+            self._aim(servo)
+
+
+__all__ = ["STEP", "Collision", "Snapshot", "World", "mechanics"]
