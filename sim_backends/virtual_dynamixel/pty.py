@@ -7,6 +7,7 @@ hands every answer over when its last byte would have arrived. POSIX only; impor
 from __future__ import annotations
 
 import heapq
+import math
 import os
 import select
 import termios
@@ -60,6 +61,8 @@ class PtyBus:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._offset = 0.0
+        self.last_heard = -math.inf
+        """When a client last wrote something, s of the monotonic clock."""
         self.slipped = 0.0
         """s of simulated time given up because the machine was too slow."""
 
@@ -196,6 +199,7 @@ class PtyBus:
             data = os.read(self._master, 4096)
         except OSError:
             return
+        self.last_heard = time.monotonic()
         rate = _BAUD.get(termios.tcgetattr(self._slave)[5])
         if rate is not None:
             self.bus.host_baud = rate

@@ -1,0 +1,401 @@
+"""The simulated cell in another process, as seen by the controller: camera, hands and truth over a Unix socket.
+
+A message is a header in JSON and a block of raw bytes: two lengths (4 bytes each, big-endian), then both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Frame, Shape, TruePart
+from controller.errors import CameraLost, DeviceError, FrameStale
+from controller.ports import Clock
+
+_LENGTHS = struct.Struct(">II")
+LONGEST_HEADER = 4 << 20
+LONGEST_BODY = 256 << 20
+"""Bytes; more is not one of our messages."""
+_MARGIN = 5.0
+"""s beyond what was asked for until the other process counts as gone."""
+_START = 30.0
+"""s a server may need to build its world."""
+
+Header = dict[str, Any]
+
+
+# --- messages -----------------------------------------------------------------------------------------------
+
+
+def send(connection: socket.socket, header: Mapping[str, Any], body: bytes | memoryview = b"") -> None:
+    """Send one message; blocks until it is handed over."""
+    text = json.dumps(header).encode()
+    connection.sendall(_LENGTHS.pack(len(text), len(body)) + text)
+    if body:
+        connection.sendall(body)
+
+
+def receive(connection: socket.socket) -> tuple[Header, bytearray]:
+    """The next message; blocks.
+
+    Raises:
+        ConnectionError: The other side has gone, or does not speak this language.
+    """
+    text_length, body_length = _LENGTHS.unpack(_exactly(connection, _LENGTHS.size))
+    if text_length > LONGEST_HEADER or body_length > LONGEST_BODY:
+        raise ConnectionError("not a message of the simulated cell")
+    try:
+        header = json.loads(_exactly(connection, text_length))
+    except ValueError as error:
+        raise ConnectionError("not a message of the simulated cell") from error
+    if not isinstance(header, dict):
+        raise ConnectionError("not a message of the simulated cell")
+    return header, _exactly(connection, body_length)
+
+
+def _exactly(connection: socket.socket, size: int) -> bytearray:
+    data = bytearray(size)
+    view = memoryview(data)
+    while view:
+        count = connection.recv_into(view)
+        if not count:
+            raise ConnectionError("the simulated cell has hung up")
+        view = view[count:]
+    return data
+
+
+def part_to_json(part: TruePart) -> Header:
+    """A true part as JSON has it."""
+    return dataclasses.asdict(part)
+
+
+def part_from_json(fields: Mapping[str, Any]) -> TruePart:
+    """The inverse of `part_to_json`."""
+    x, y = fields["center"]
+    long, short = fields["size"]
+    return TruePart(**{**fields, "shape": Shape(fields["shape"]), "center": (x, y), "size": (long, short)})
+
+
+class Connection:
+    """Questions and answers over one socket; threads take turns.
+
+    Args:
+        path: The server's socket.
+        device: For messages.
+    """
+
+    def __init__(self, path: str | Path, device: str) -> None:
+        self._path = str(path)
+        self._device = device
+        self._lock = threading.Lock()
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        """Connect; harmless when connected.
+
+        Raises:
+            DeviceError: Nobody listens.
+        """
+        if self._socket is not None:
+            return
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.settimeout(_MARGIN)
+            connection.connect(self._path)
+        except OSError as error:
+            connection.close()
+            raise self._lost("open", str(error)) from error
+        self._socket = connection
+
+    def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+        connection, self._socket = self._socket, None
+        if connection is not None:
+            connection.close()
+
+    def ask(
+        self, operation: str, arguments: Mapping[str, Any] | None = None, body: bytes = b"", patience: float = 0.0
+    ) -> tuple[Header, bytearray]:
+        """Have the other process do something and wait for its answer, at most `patience` s and a margin.
+
+        Raises:
+            DeviceError: The other process is gone or refused; a camera's errors come as themselves.
+        """
+        with self._lock:
+            self.open()
+            connection = self._socket
+            assert connection is not None
+            try:
+                connection.settimeout(patience + _MARGIN)
+                send(connection, {"do": operation, **(arguments or {})}, body)
+                header, answer = receive(connection)
+            except OSError as error:
+                self.close()
+                raise self._lost(operation, str(error)) from error
+        if "error" in header:
+            raise _KINDS.get(str(header["error"]), DeviceError)(self._device, operation, str(header["cause"]))
+        return header, answer
+
+    def _lost(self, operation: str, cause: str) -> DeviceError:
+        kind = CameraLost if self._device == "camera" else DeviceError
+        return kind(self._device, operation, f"the simulated cell does not answer ({cause})", "start it again")
+
+
+_KINDS: Mapping[str, type[DeviceError]] = {"CameraLost": CameraLost, "FrameStale": FrameStale}
+
+
+# --- the ports ----------------------------------------------------------------------------------------------
+
+
+class RemoteCamera:
+    """The simulated camera behind the Camera port.
+
+    Args:
+        path: The server's socket.
+        clock: The controller's clock; the server's is the system's monotonic one.
+    """
+
+    def __init__(self, path: str | Path, clock: Clock) -> None:
+        self._connection = Connection(path, "camera")
+        self._clock = clock
+
+    def open(self) -> None:
+        """Connect. Raises CameraLost."""
+        self._connection.open()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._connection.close()
+
+    def capture(self, after: float, timeout: float = 2.0) -> Frame:
+        """A frame whose exposure began at or after `after`; blocks.
+
+        Raises:
+            FrameStale: None within `timeout` s.
+            CameraLost: The other process is gone.
+        """
+        offset = self._clock.now() - time.monotonic()
+        asked = {"after": after - offset, "timeout": timeout}
+        header, body = self._connection.ask("capture", asked, patience=timeout)
+        image = np.frombuffer(body, np.uint8).reshape(header["shape"])
+        image.flags.writeable = False
+        return Frame(int(header["frame_id"]), float(header["captured_at"]) + offset, image, "simulated camera")
+
+
+class RemotePresenter:
+    """The simulated hands behind the Presenter port.
+
+    Args:
+        path: The server's socket.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._connection = Connection(path, "presenter")
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._connection.close()
+
+    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
+        """Hold a print before the camera."""
+        pose = np.asarray(T_camera_board, np.float64).tolist()
+        self._show("hold", print_, {"pixel_mm": pixel_mm, "T_camera_board": pose})
+
+    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
+        """Lay a print on the table."""
+        self._show("lay", print_, {"pixel_mm": pixel_mm})
+
+    def remove(self) -> None:
+        """Take the print away."""
+        self._connection.ask("remove")
+
+    def _show(self, how: str, print_: NDArray[np.uint8], arguments: Header) -> None:
+        picture = np.ascontiguousarray(print_, np.uint8)
+        self._connection.ask(how, {**arguments, "shape": list(picture.shape)}, picture.tobytes())
+
+
+class RemoteTruth:
+    """What the simulated world knows, and what can be done to it.
+
+    Args:
+        path: The server's socket.
+        clock: The controller's clock.
+    """
+
+    def __init__(self, path: str | Path, clock: Clock) -> None:
+        self._connection = Connection(path, "simulated world")
+        self._clock = clock
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._connection.close()
+
+    def now(self) -> Sequence[TruePart]:
+        """Every part as it is now."""
+        return self._parts({})
+
+    def at(self, at: float) -> Sequence[TruePart]:
+        """Every part as it was at a time of the controller's clock."""
+        return self._parts({"at": at - self._clock.now() + time.monotonic()})
+
+    def collisions(self) -> int:
+        """Touches of the arm with what it should not touch, so far."""
+        return int(self._connection.ask("collisions")[0]["count"])
+
+    def strike(self, fault: str, servo_id: int | None = None) -> None:
+        """Let a fault happen to a servo or the adapter (see `Fault`), now; `heal` undoes it."""
+        self._connection.ask("strike", {"fault": fault, "servo_id": servo_id})
+
+    def fault_rate(self, fault: str, rate: float) -> None:
+        """Let packets go wrong with this probability."""
+        self._connection.ask("fault_rate", {"fault": fault, "rate": rate})
+
+    def heal(self) -> None:
+        """Undo `strike` and `fault_rate`."""
+        self._connection.ask("heal")
+
+    def servo(self, servo_id: int) -> Header:
+        """`angle` (rad, bare shaft), `velocity` (rad/s), `torque` (on), `goal` (ticks) and `watchdog` (register)."""
+        return self._connection.ask("servo", {"servo_id": servo_id})[0]
+
+    def shut_down(self) -> None:
+        """Ask the other process to end."""
+        self._connection.ask("shut_down")
+
+    def _parts(self, arguments: Header) -> Sequence[TruePart]:
+        header, _ = self._connection.ask("truth", arguments)
+        return tuple(part_from_json(fields) for fields in header["parts"])
+
+
+# --- the other process --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ServerSpec:
+    """What a server serves and how; goes through JSON unchanged.
+
+    Attributes:
+        cell: The cell's own specification as JSON; empty for a bench of servos without a world.
+        servos: For a bench: (ID, model) of each.
+        baud: Bit rate the servos are set to.
+        latency_timer_ms: Of the adapter.
+        seed: Of the injected faults.
+        idle_limit: s without any client until the server ends by itself.
+    """
+
+    cell: Header = dataclasses.field(default_factory=dict)
+    servos: tuple[tuple[int, str], ...] = ()
+    baud: int = 1_000_000
+    latency_timer_ms: float = 0.0
+    seed: int = 0
+    idle_limit: float = 60.0
+
+    def to_json(self) -> str:
+        """As one line of JSON."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> ServerSpec:
+        """The inverse of `to_json`."""
+        fields = json.loads(text)
+        fields["servos"] = tuple((int(servo_id), str(model)) for servo_id, model in fields.get("servos", ()))
+        return cls(**fields)
+
+
+class ServerHandle:
+    """A server started by `spawn_server`; it lives on when this object, or its process, is gone.
+
+    Attributes:
+        pid: Process ID.
+        pty: Path of the servo bus, to be opened like a serial port.
+        socket: Path of the socket.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], pty: str, socket_path: str) -> None:
+        self._process = process
+        self.pid = process.pid
+        self.pty = pty
+        self.socket = socket_path
+
+    def is_running(self) -> bool:
+        """It has not ended."""
+        return self._process.poll() is None
+
+    def stop(self, timeout: float = 10.0) -> None:
+        """Ask it to end and wait; harmless when it has ended."""
+        if self.is_running():
+            self._process.send_signal(signal.SIGTERM)
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> ServerHandle:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        self.stop()
+
+
+def spawn_server(spec: ServerSpec) -> ServerHandle:
+    """Start a server in a session of its own, which neither Ctrl-C nor the end of this process reaches.
+
+    Blocks until it serves.
+
+    Raises:
+        DeviceError: It did not come up.
+    """
+    handle, name = tempfile.mkstemp(prefix="simulated-cell-", suffix=".json")
+    log = Path(name).with_suffix(".log")
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(spec.to_json())
+        root = str(Path(__file__).resolve().parents[1])
+        known = os.environ.get("PYTHONPATH")
+        with log.open("wb") as errors:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "sim_backends.server", "--spec", name],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": root + (os.pathsep + known if known else "")},
+            )
+        line = _first_line(process)
+        if not line:
+            process.kill()
+            process.wait()
+            last = (log.read_text(errors="replace").strip().splitlines() or ["it said nothing"])[-1]
+            raise DeviceError("simulated cell", "start", last, "install the extra `sim`, or run without --real-time")
+    finally:
+        Path(name).unlink(missing_ok=True)
+        log.unlink(missing_ok=True)
+    where = json.loads(line)
+    return ServerHandle(process, where["pty"], where["socket"])
+
+
+def _first_line(process: subprocess.Popen[bytes]) -> bytes:
+    """The line a server prints when it serves; empty when it ended or took too long."""
+    assert process.stdout is not None
+    with contextlib.closing(process.stdout) as pipe:
+        ready, _, _ = select.select([pipe], [], [], _START)
+        return pipe.readline() if ready else b""

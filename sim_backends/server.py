@@ -1,0 +1,325 @@
+"""A simulated cell in a process of its own, in real time: it goes on when the controller has died.
+
+    python -m sim_backends.server --spec FILE
+
+The servo bus is a pseudo-terminal, everything else (pictures, hands, truth, faults) a Unix socket. One JSON line
+with both paths is printed when they can be opened. The process ends on SIGTERM, when asked to, or when no
+client has been there for a while. One thread owns the physics; pictures are painted in the client's thread
+from a copy of the scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Frame, TruePart
+from controller.errors import CameraLost, FrameStale, SorterError
+from sim_backends.plant import Plant
+from sim_backends.remote import Header, ServerSpec, part_to_json, receive, send
+from sim_backends.virtual_dynamixel import Fault, ServoSpec, VirtualBus
+from sim_backends.virtual_dynamixel.bench import IdealPlant
+from sim_backends.virtual_dynamixel.pty import PtyBus
+
+SWITCH_INTERVAL = 0.0005
+"""s until a painting thread lets the bus's thread run, which has to answer within a millisecond or so."""
+LOOK = 0.2
+"""s between two looks at the reasons to end."""
+
+
+class ServedCell(Protocol):
+    """What a server needs of a cell. All but `paint` is called in the thread that owns the physics."""
+
+    @property
+    def plant(self) -> Plant:
+        """The mechanical world."""
+        ...
+
+    @property
+    def bus_servos(self) -> Sequence[ServoSpec]:
+        """What is mounted on the bus."""
+        ...
+
+    def expose(self) -> Any:
+        """A copy of all that a picture of this moment needs."""
+        ...
+
+    def paint(self, shot: Any) -> Frame:
+        """The picture of what `expose` gave; in any thread, but in one at a time."""
+        ...
+
+    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
+        """As `Presenter.hold`."""
+        ...
+
+    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
+        """As `Presenter.lay`."""
+        ...
+
+    def remove(self) -> None:
+        """As `Presenter.remove`."""
+        ...
+
+    def truth(self) -> Sequence[TruePart]:
+        """Every part now."""
+        ...
+
+    def truth_at(self, at: float) -> Sequence[TruePart]:
+        """Every part at a time of the plant."""
+        ...
+
+    def collisions(self) -> int:
+        """Touches so far."""
+        ...
+
+
+class Bench:
+    """Servos without a world: nothing to see, nothing to hold."""
+
+    def __init__(self, servos: Sequence[ServoSpec]) -> None:
+        self.bus_servos = tuple(servos)
+        self.plant = IdealPlant([spec.servo_id for spec in servos])
+
+    def expose(self) -> Any:
+        """There is no camera."""
+        raise CameraLost("camera", "capture", "a bench of servos has no camera")
+
+    def paint(self, shot: Any) -> Frame:
+        """There is no camera."""
+        raise CameraLost("camera", "capture", "a bench of servos has no camera")
+
+    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
+        """Nobody sees it."""
+
+    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
+        """Nobody sees it."""
+
+    def remove(self) -> None:
+        """Nothing was shown."""
+
+    def truth(self) -> Sequence[TruePart]:
+        """No parts."""
+        return ()
+
+    def truth_at(self, at: float) -> Sequence[TruePart]:
+        """No parts."""
+        return ()
+
+    def collisions(self) -> int:
+        """None."""
+        return 0
+
+
+class CellServer:
+    """Serves a cell until told to end.
+
+    Args:
+        cell: The cell.
+        spec: Bus and life span.
+        folder: Where the socket and the link to the terminal are made.
+    """
+
+    def __init__(self, cell: ServedCell, spec: ServerSpec, folder: Path) -> None:
+        self._cell = cell
+        self._idle_limit = spec.idle_limit
+        bus = VirtualBus(
+            cell.plant, cell.bus_servos, baud=spec.baud, latency_timer_ms=spec.latency_timer_ms, seed=spec.seed
+        )
+        self._line = PtyBus(bus, link=folder / "servo-bus")
+        self._path = folder / "socket"
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._clients: dict[threading.Thread, socket.socket] = {}
+        self._guard = threading.Lock()
+        self._easel = threading.Lock()
+        self.ending = threading.Event()
+        """Set it to end `serve`."""
+
+    @property
+    def where(self) -> dict[str, str]:
+        """Paths of the terminal and of the socket."""
+        return {"pty": self._line.path, "socket": str(self._path)}
+
+    def start(self) -> None:
+        """Begin to serve; returns when clients may connect."""
+        self._listener.bind(str(self._path))
+        self._listener.listen()
+        self._listener.settimeout(LOOK)
+        self._line.start()
+
+    def serve(self) -> None:
+        """Accept clients until `ending` is set or nobody has been there for the idle limit; then clean up."""
+        last_seen = time.monotonic()
+        try:
+            while not self.ending.is_set():
+                with self._guard:
+                    present = bool(self._clients)
+                now = time.monotonic()
+                last_seen = max(last_seen, now if present else self._line.last_heard)
+                if now - last_seen > self._idle_limit:
+                    return
+                try:
+                    connection, _ = self._listener.accept()
+                except TimeoutError:
+                    continue
+                thread = threading.Thread(target=self._attend, args=(connection,), name="client", daemon=True)
+                with self._guard:
+                    self._clients[thread] = connection
+                thread.start()
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        self.ending.set()
+        self._listener.close()
+        with self._guard:
+            clients = dict(self._clients)
+        for connection in clients.values():
+            connection.shutdown(socket.SHUT_RDWR)
+        for thread in clients:
+            thread.join()
+        self._line.stop()
+
+    def _attend(self, connection: socket.socket) -> None:
+        """Answer one client until it hangs up."""
+        try:
+            while not self.ending.is_set():
+                header, body = receive(connection)
+                try:
+                    answer, picture = self._answer(header, body)
+                except SorterError as error:
+                    answer, picture = {"error": type(error).__name__, "cause": error.cause}, b""
+                except (KeyError, TypeError, ValueError) as error:
+                    answer, picture = {"error": "refused", "cause": f"{type(error).__name__}: {error}"}, b""
+                send(connection, answer, picture)
+        except OSError:
+            pass  # the client is gone, which is its right
+        finally:
+            with self._guard:
+                self._clients.pop(threading.current_thread(), None)
+            connection.close()
+
+    def _answer(self, asked: Header, body: bytearray) -> tuple[Header, bytes | memoryview]:
+        """Do what a client asks.
+
+        Raises:
+            SorterError: It went wrong.
+            KeyError, TypeError, ValueError: It makes no sense.
+        """
+        cell, line = self._cell, self._line
+        match asked["do"]:
+            case "capture":
+                return self._capture(float(asked["after"]), float(asked["timeout"]))
+            case "hold":
+                pose = np.array(asked["T_camera_board"], np.float64).reshape(4, 4)
+                line.call(lambda: cell.hold(_picture(asked, body), float(asked["pixel_mm"]), pose))
+            case "lay":
+                line.call(lambda: cell.lay(_picture(asked, body), float(asked["pixel_mm"])))
+            case "remove":
+                line.call(cell.remove)
+            case "truth":
+                at = asked.get("at")
+                parts = line.call(cell.truth if at is None else lambda: cell.truth_at(float(at) - line.offset))
+                return {"parts": [part_to_json(part) for part in parts]}, b""
+            case "collisions":
+                return {"count": line.call(cell.collisions)}, b""
+            case "strike":
+                fault, servo_id = Fault(asked["fault"]), asked["servo_id"]
+                line.call(lambda: line.bus.strike(fault, None if servo_id is None else int(servo_id)))
+            case "fault_rate":
+                fault, rate = Fault(asked["fault"]), float(asked["rate"])
+                line.call(lambda: line.bus.faults.set_rate(fault, rate))
+            case "heal":
+                line.call(line.bus.faults.clear)
+                line.call(line.bus.heal)
+            case "servo":
+                return line.call(lambda: self._servo(int(asked["servo_id"]))), b""
+            case "shut_down":
+                self.ending.set()
+            case unknown:
+                raise ValueError(f"unknown request {unknown!r}")
+        return {}, b""
+
+    def _servo(self, servo_id: int) -> Header:
+        servo = self._line.bus.servo(servo_id)
+        shaft = self._cell.plant.shaft(servo.shaft_id)
+        get = servo.table.get
+        return {
+            "angle": shaft.angle,
+            "velocity": shaft.velocity,
+            "torque": bool(get("Torque_Enable")),
+            "goal": get("Goal_Position"),
+            "watchdog": get("Bus_Watchdog"),
+        }
+
+    def _capture(self, after: float, timeout: float) -> tuple[Header, memoryview]:
+        """Wait for the moment, copy the scene between two steps, paint it here."""
+        deadline = time.monotonic() + timeout
+        if after > deadline:
+            raise FrameStale("camera", "capture", f"no frame after {after:.3f} s within {timeout:g} s")
+        while (wait := after - time.monotonic()) > 0.0:
+            if self.ending.wait(wait):
+                raise CameraLost("camera", "capture", "the simulated cell is ending")
+        shot = self._line.call(self._cell.expose)
+        with self._easel:
+            frame = self._cell.paint(shot)
+        image = np.ascontiguousarray(frame.image)
+        header = {
+            "frame_id": frame.frame_id,
+            "captured_at": frame.captured_at + self._line.offset,
+            "shape": list(image.shape),
+        }
+        return header, image.data.cast("B")
+
+
+def _picture(asked: Header, body: bytearray) -> NDArray[np.uint8]:
+    return np.frombuffer(body, np.uint8).reshape(asked["shape"])
+
+
+def build(spec: ServerSpec) -> ServedCell:
+    """The cell a specification asks for."""
+    return Bench([ServoSpec(servo_id, model) for servo_id, model in spec.servos])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve one cell; the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m sim_backends.server", description=__doc__)
+    parser.add_argument("--spec", type=Path, required=True, help="ServerSpec as JSON")
+    spec = ServerSpec.from_json(parser.parse_args(arguments).spec.read_text())
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    folder = Path(tempfile.mkdtemp(prefix="simulated-cell-"))
+    try:
+        server = CellServer(build(spec), spec, folder)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: server.ending.set())
+        server.start()
+        print(json.dumps({**server.where, "pid": os.getpid()}), flush=True)
+        _let_go_of_stdout()
+        server.serve()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+def _let_go_of_stdout() -> None:
+    """Nobody needs to keep the other end of the pipe."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, sys.stdout.fileno())
+    os.close(null)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
