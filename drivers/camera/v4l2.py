@@ -188,9 +188,10 @@ class V4l2Camera:
         bad = stream.bad_frames
         exposure = stream.grab()
         request, image = self._request, None
-        if exposure is not None and request is not None and exposure.began >= request.after:
+        if exposure is not None and request is not None and request.frame is None:
             # After a stall of this program the device's queue holds old frames.
-            if self._clock.now() - exposure.ended <= self._age_limit:
+            young = self._clock.now() - exposure.ended <= self._age_limit
+            if young and exposure.began >= request.after:
                 image = stream.image()
         with self._changed:
             self.bad_frames += stream.bad_frames - bad
@@ -200,5 +201,4 @@ class V4l2Camera:
                 if image is not None and request is not None:
                     self._frames += 1
                     request.frame = Frame(self._frames, exposure.ended, image, self._device)
-                    self._request = None
             self._changed.notify_all()
