@@ -20,6 +20,8 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", "
 class ReplayCamera:
     """Shows each picture once, in order, as if it had been exposed when it was asked for; then it has ended.
 
+    Closing and opening it again, as after a loss, goes on with the next picture: time does not run back.
+
     Args:
         source: A folder (its pictures in natural order: 2 before 10), one picture, or pictures in order.
         clock: The cell's clock; every frame takes one `period` of it.
@@ -41,20 +43,17 @@ class ReplayCamera:
         return len(self._paths) - self._next
 
     def open(self) -> None:
-        """Find the pictures and check that each file begins like one; the show starts with the first.
+        """Find the pictures and check that each file begins like one.
 
         Raises:
             InputError: There is no picture, or a file is missing or not a picture.
         """
-        self._paths = pictures_of(self._source)
-        self._next = 0
-        self._size = None
+        if not self._paths:
+            self._paths = pictures_of(self._source)
         self._open = True
 
     def close(self) -> None:
-        """Forget the pictures; harmless when not open."""
-        self._paths = ()
-        self._next = 0
+        """Show no more; harmless when not open."""
         self._open = False
 
     def capture(self, after: float, timeout: float = 2.0) -> Frame:

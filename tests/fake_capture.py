@@ -74,7 +74,7 @@ class FakeCapture:
         fixed: Iterable[int] = (),
         script: Iterable[Step] = (),
         stamps: bool = True,
-        pace: Callable[[], None] = lambda: None,
+        pace: Callable[[], object] = lambda: None,
     ) -> None:
         self.clock = clock
         self._given = size

@@ -44,14 +44,17 @@ def test_pictures_named_one_by_one_keep_their_order(tmp_path: Path) -> None:
     camera.close()
 
 
-def test_opening_again_starts_again(tmp_path: Path) -> None:
+def test_opening_again_goes_on_with_the_next(tmp_path: Path) -> None:
     write(tmp_path / "a.png", 5)
-    camera = ReplayCamera(tmp_path / "a.png", VirtualClock())
-    for _ in range(2):
+    write(tmp_path / "b.png", 6)
+    camera = ReplayCamera(tmp_path, VirtualClock())
+    for value in (5, 6):
         camera.open()
-        assert camera.remaining == 1
-        assert values(camera, 1) == [5]
+        assert values(camera, 1) == [value]
         camera.close()
+    camera.open()
+    with pytest.raises(CameraEnded):
+        camera.capture(0.0)
 
 
 def test_a_frame_carries_its_file_number_and_time(tmp_path: Path) -> None:

@@ -1,0 +1,63 @@
+"""The Camera suite over every camera there is."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from drivers.camera.v4l2 import V4l2Camera
+from drivers.clock import MonotonicClock
+from sim_backends.replay_camera import ReplayCamera
+from sim_backends.virtual_clock import VirtualClock
+from tests.contract.camera_suite import CameraCell, CameraSuite
+from tests.fake_capture import FakeCapture
+
+SIZE = (64, 48)
+
+
+class TestReplayCamera(CameraSuite):
+    @pytest.fixture
+    def cell(self, tmp_path: Path) -> Iterator[CameraCell]:
+        for number in range(8):
+            assert cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((SIZE[1], SIZE[0], 3), number, np.uint8))
+        clock = VirtualClock(5.0)
+        camera = ReplayCamera(tmp_path, clock)
+        yield CameraCell(camera, clock, SIZE)
+        camera.close()
+
+
+class TestV4l2CameraOnAScriptedDevice(CameraSuite):
+    @pytest.fixture
+    def cell(self) -> Iterator[CameraCell]:
+        clock = VirtualClock(5.0)
+        pause = threading.Event()
+        camera = V4l2Camera(
+            "/dev/video9",
+            clock,
+            size=SIZE,
+            # A reader on a virtual clock would never wait; half a millisecond a frame keeps it from spinning.
+            capture=lambda device: FakeCapture(clock, pace=lambda: pause.wait(0.0005)),
+        )
+        yield CameraCell(camera, clock, SIZE)
+        camera.close()
+
+
+@pytest.mark.hardware
+class TestV4l2Camera(CameraSuite):
+    """The camera named by SORTER_CAMERA, at 1280x720."""
+
+    @pytest.fixture
+    def cell(self) -> Iterator[CameraCell]:
+        device = os.environ.get("SORTER_CAMERA")
+        if not device:
+            pytest.skip("SORTER_CAMERA names no camera")
+        clock = MonotonicClock()
+        camera = V4l2Camera(device, clock)
+        yield CameraCell(camera, clock, (1280, 720))
+        camera.close()
