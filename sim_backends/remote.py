@@ -260,6 +260,14 @@ class RemoteTruth:
         """Touches of the arm with what it should not touch, so far."""
         return int(self._connection.ask("collisions")[0]["count"])
 
+    def set_aside(self) -> None:
+        """Take all parts off the table, e.g. to calibrate."""
+        self._connection.ask("set_aside")
+
+    def scatter(self) -> None:
+        """Put all parts where the seed has them."""
+        self._connection.ask("scatter")
+
     def strike(self, fault: str, servo_id: int | None = None) -> None:
         """Let a fault happen to a servo or the adapter (see `Fault`), now; `heal` undoes it."""
         self._connection.ask("strike", {"fault": fault, "servo_id": servo_id})

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import signal
@@ -21,14 +22,16 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import Frame, TruePart
-from controller.errors import CameraLost, FrameStale, SorterError
+from controller.domain import TruePart
+from controller.errors import CameraLost, DeviceError, FrameStale, SorterError
+from controller.ports import Presenter
 from sim_backends.plant import Plant
 from sim_backends.remote import Header, ServerSpec, part_to_json, receive, send
 from sim_backends.virtual_dynamixel import Fault, ServoSpec, VirtualBus
@@ -41,6 +44,21 @@ LOOK = 0.2
 """s between two looks at the reasons to end."""
 
 
+@dataclass(frozen=True, slots=True)
+class CameraBeat:
+    """When a camera exposes and delivers.
+
+    Attributes:
+        period: Between exposures, s.
+        exposure: Length of one, s.
+        latency: From the end of an exposure to the delivery of the frame, s.
+    """
+
+    period: float
+    exposure: float
+    latency: float
+
+
 class ServedCell(Protocol):
     """What a server needs of a cell. All but `paint` is called in the thread that owns the physics."""
 
@@ -50,28 +68,26 @@ class ServedCell(Protocol):
         ...
 
     @property
-    def bus_servos(self) -> Sequence[ServoSpec]:
+    def servos(self) -> Sequence[ServoSpec]:
         """What is mounted on the bus."""
+        ...
+
+    @property
+    def presenter(self) -> Presenter:
+        """The hands."""
+        ...
+
+    @property
+    def beat(self) -> CameraBeat:
+        """When the camera exposes and delivers."""
         ...
 
     def expose(self) -> Any:
         """A copy of all that a picture of this moment needs."""
         ...
 
-    def paint(self, shot: Any) -> Frame:
+    def paint(self, shot: Any) -> NDArray[np.uint8]:
         """The picture of what `expose` gave; in any thread, but in one at a time."""
-        ...
-
-    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
-        """As `Presenter.hold`."""
-        ...
-
-    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
-        """As `Presenter.lay`."""
-        ...
-
-    def remove(self) -> None:
-        """As `Presenter.remove`."""
         ...
 
     def truth(self) -> Sequence[TruePart]:
@@ -86,30 +102,75 @@ class ServedCell(Protocol):
         """Touches so far."""
         ...
 
+    def set_aside(self) -> None:
+        """Take the parts off the table."""
+        ...
+
+    def scatter(self) -> None:
+        """Put the parts back."""
+        ...
+
+
+class PhysicsCell:
+    """A whole simulated cell behind `ServedCell`.
+
+    Args:
+        text: Its specification, as `CellSpec.to_json` writes it.
+    """
+
+    def __init__(self, text: str) -> None:
+        from sim_backends.camera import EXPOSURE, PERIOD
+        from sim_backends.cell import CellSpec, SimulatedCell
+
+        self._cell = SimulatedCell(CellSpec.from_json(text))
+        self.plant = self._cell.plant
+        self.servos = [ServoSpec(servo_id, model) for servo_id, model in self._cell.bus_servos]
+        self.presenter = self._cell.presenter
+        self.beat = CameraBeat(PERIOD, EXPOSURE, self._cell.imperfections.latency)
+        self.truth = self._cell.truth
+        self.truth_at = self._cell.truth_at
+        self.set_aside = self._cell.set_aside
+        self.scatter = self._cell.scatter
+
+    def expose(self) -> Any:
+        """The poses of all bodies; the truth is kept for this moment."""
+        self._cell.world.remember()
+        return self._cell.world.snapshot()
+
+    def paint(self, shot: Any) -> NDArray[np.uint8]:
+        """The picture, (H, W, 3)."""
+        return self._cell._paint(shot)
+
+    def collisions(self) -> int:
+        """Touches so far."""
+        return len(self._cell.collisions)
+
 
 class Bench:
-    """Servos without a world: nothing to see, nothing to hold."""
+    """Servos without a world: nothing to see, nobody there.
+
+    Args:
+        servos: What is mounted.
+    """
+
+    beat = CameraBeat(1.0 / 30.0, 0.008, 0.0)
 
     def __init__(self, servos: Sequence[ServoSpec]) -> None:
-        self.bus_servos = tuple(servos)
+        self.servos = tuple(servos)
         self.plant = IdealPlant([spec.servo_id for spec in servos])
+
+    @property
+    def presenter(self) -> Presenter:
+        """Nobody is there."""
+        raise DeviceError("presenter", "show", "a bench of servos has no hands")
 
     def expose(self) -> Any:
         """There is no camera."""
         raise CameraLost("camera", "capture", "a bench of servos has no camera")
 
-    def paint(self, shot: Any) -> Frame:
+    def paint(self, shot: Any) -> NDArray[np.uint8]:
         """There is no camera."""
         raise CameraLost("camera", "capture", "a bench of servos has no camera")
-
-    def hold(self, print_: NDArray[np.uint8], pixel_mm: float, T_camera_board: NDArray[np.float64]) -> None:
-        """Nobody sees it."""
-
-    def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
-        """Nobody sees it."""
-
-    def remove(self) -> None:
-        """Nothing was shown."""
 
     def truth(self) -> Sequence[TruePart]:
         """No parts."""
@@ -122,6 +183,12 @@ class Bench:
     def collisions(self) -> int:
         """None."""
         return 0
+
+    def set_aside(self) -> None:
+        """There is nothing."""
+
+    def scatter(self) -> None:
+        """There is nothing."""
 
 
 class CellServer:
@@ -137,7 +204,7 @@ class CellServer:
         self._cell = cell
         self._idle_limit = spec.idle_limit
         bus = VirtualBus(
-            cell.plant, cell.bus_servos, baud=spec.baud, latency_timer_ms=spec.latency_timer_ms, seed=spec.seed
+            cell.plant, cell.servos, baud=spec.baud, latency_timer_ms=spec.latency_timer_ms, seed=spec.seed
         )
         self._line = PtyBus(bus, link=folder / "servo-bus")
         self._path = folder / "socket"
@@ -145,6 +212,7 @@ class CellServer:
         self._clients: dict[threading.Thread, socket.socket] = {}
         self._guard = threading.Lock()
         self._easel = threading.Lock()
+        self._frames = 0
         self.ending = threading.Event()
         """Set it to end `serve`."""
 
@@ -225,17 +293,21 @@ class CellServer:
                 return self._capture(float(asked["after"]), float(asked["timeout"]))
             case "hold":
                 pose = np.array(asked["T_camera_board"], np.float64).reshape(4, 4)
-                line.call(lambda: cell.hold(_picture(asked, body), float(asked["pixel_mm"]), pose))
+                line.call(lambda: cell.presenter.hold(_picture(asked, body), float(asked["pixel_mm"]), pose))
             case "lay":
-                line.call(lambda: cell.lay(_picture(asked, body), float(asked["pixel_mm"])))
+                line.call(lambda: cell.presenter.lay(_picture(asked, body), float(asked["pixel_mm"])))
             case "remove":
-                line.call(cell.remove)
+                line.call(cell.presenter.remove)
             case "truth":
                 at = asked.get("at")
                 parts = line.call(cell.truth if at is None else lambda: cell.truth_at(float(at) - line.offset))
                 return {"parts": [part_to_json(part) for part in parts]}, b""
             case "collisions":
                 return {"count": line.call(cell.collisions)}, b""
+            case "set_aside":
+                line.call(cell.set_aside)
+            case "scatter":
+                line.call(cell.scatter)
             case "strike":
                 fault, servo_id = Fault(asked["fault"]), asked["servo_id"]
                 line.call(lambda: line.bus.strike(fault, None if servo_id is None else int(servo_id)))
@@ -266,23 +338,33 @@ class CellServer:
         }
 
     def _capture(self, after: float, timeout: float) -> tuple[Header, memoryview]:
-        """Wait for the moment, copy the scene between two steps, paint it here."""
-        deadline = time.monotonic() + timeout
-        if after > deadline:
-            raise FrameStale("camera", "capture", f"no frame after {after:.3f} s within {timeout:g} s")
-        while (wait := after - time.monotonic()) > 0.0:
-            if self.ending.wait(wait):
-                raise CameraLost("camera", "capture", "the simulated cell is ending")
+        """Wait for the next exposure, copy the scene in its middle, paint it here, deliver it late as cameras do.
+
+        Args:
+            after: Earliest beginning of the exposure, s of the monotonic clock.
+            timeout: s.
+        """
+        beat = self._cell.beat
+        now, offset = time.monotonic(), self._line.offset
+        begin = math.ceil((max(after, now) - offset) / beat.period - 1e-9) * beat.period + offset
+        delivery = begin + beat.exposure + beat.latency
+        if delivery > now + timeout:
+            self._wait(now + timeout)
+            raise FrameStale("camera", "capture", f"no frame within {timeout:g} s")
+        self._wait(begin + beat.exposure / 2.0)
         shot = self._line.call(self._cell.expose)
         with self._easel:
-            frame = self._cell.paint(shot)
-        image = np.ascontiguousarray(frame.image)
-        header = {
-            "frame_id": frame.frame_id,
-            "captured_at": frame.captured_at + self._line.offset,
-            "shape": list(image.shape),
-        }
+            image = np.ascontiguousarray(self._cell.paint(shot))
+            self._frames += 1
+            count = self._frames
+        self._wait(delivery)
+        header = {"frame_id": count, "captured_at": begin + beat.exposure, "shape": list(image.shape)}
         return header, image.data.cast("B")
+
+    def _wait(self, until: float) -> None:
+        while (missing := until - time.monotonic()) > 0.0:
+            if self.ending.wait(missing):
+                raise CameraLost("camera", "capture", "the simulated cell is ending")
 
 
 def _picture(asked: Header, body: bytearray) -> NDArray[np.uint8]:
@@ -291,6 +373,8 @@ def _picture(asked: Header, body: bytearray) -> NDArray[np.uint8]:
 
 def build(spec: ServerSpec) -> ServedCell:
     """The cell a specification asks for."""
+    if spec.cell:
+        return PhysicsCell(json.dumps(spec.cell))
     return Bench([ServoSpec(servo_id, model) for servo_id, model in spec.servos])
 
 

@@ -61,6 +61,8 @@ class PtyBus:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._offset = 0.0
+        # Simulated time as the line knows it; a plant may tell it in whole steps only.
+        self._time = 0.0
         self.last_heard = -math.inf
         """When a client last wrote something, s of the monotonic clock."""
         self.slipped = 0.0
@@ -83,7 +85,8 @@ class PtyBus:
         self._wake_out, self._wake_in = os.pipe()
         self._plug()
         self._stopping.clear()
-        self._offset = time.monotonic() - self._plant.now()
+        self._time = self._plant.now()
+        self._offset = time.monotonic() - self._time
         self._thread = threading.Thread(target=self._run, name="virtual-bus", daemon=True)
         self._thread.start()
 
@@ -169,7 +172,7 @@ class PtyBus:
 
     def _wait(self) -> list[int]:
         """Sleep until bytes or a job arrive, an answer is due, or a tick has passed."""
-        due = self._plant.now() + TICK
+        due = self._time + TICK
         if self._replies:
             due = min(due, self._replies[0][0])
         timeout = max(0.0, due + self._offset - time.monotonic())
@@ -178,13 +181,16 @@ class PtyBus:
 
     def _follow(self, wall: float) -> None:
         """Let the plant catch up with the wall clock, a short stretch at most."""
-        behind = wall - self._offset - self._plant.now()
+        self._time = max(self._time, self._plant.now())
+        behind = wall - self._offset - self._time
         if behind > GIVE_UP:
             self._offset += behind
             self.slipped += behind
             return
         if behind > 0.0:
-            self._plant.advance(min(behind, LONGEST_STEP))
+            behind = min(behind, LONGEST_STEP)
+            self._plant.advance(behind)
+            self._time += behind
 
     def _work(self) -> None:
         while True:
@@ -203,7 +209,7 @@ class PtyBus:
         rate = _BAUD.get(termios.tcgetattr(self._slave)[5])
         if rate is not None:
             self.bus.host_baud = rate
-        for arrival, packet in self.bus.handle(data, self._plant.now()):
+        for arrival, packet in self.bus.handle(data, self._time):
             heapq.heappush(self._replies, (arrival, self._count, packet))
             self._count += 1
 

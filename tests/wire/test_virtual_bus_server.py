@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals are POSIX", allow_module_level=True)
 
-from controller.domain import Frame, Shape, TruePart
+from controller.domain import Shape, TruePart
 from controller.errors import CameraLost, DeviceError, FrameStale
 from controller.geometry import pose
 from controller.ports import Camera, Presenter
@@ -35,7 +35,7 @@ from sim_backends.remote import (
     send,
     spawn_server,
 )
-from sim_backends.server import Bench, CellServer
+from sim_backends.server import Bench, CameraBeat, CellServer
 from sim_backends.virtual_dynamixel import ServoSpec
 
 SERVOS = ((1, "XM430-W350"), (2, "XL430-W250"))
@@ -55,18 +55,9 @@ class SystemClock:
         raise AssertionError("nobody charges here")
 
 
-class Picturesque(Bench):
-    """A bench with a camera that sees how often it was asked, and one part."""
-
+class Hands:
     def __init__(self) -> None:
-        super().__init__([ServoSpec(*servo) for servo in SERVOS])
         self.shown: list[tuple[str, tuple[int, ...], float]] = []
-
-    def expose(self) -> float:
-        return self.plant.now()
-
-    def paint(self, shot: float) -> Frame:
-        return Frame(5, shot, np.full((4, 6, 3), 7, np.uint8))
 
     def lay(self, print_: NDArray[np.uint8], pixel_mm: float) -> None:
         self.shown.append(("lay", print_.shape, pixel_mm))
@@ -77,12 +68,39 @@ class Picturesque(Bench):
     def remove(self) -> None:
         self.shown.append(("remove", (), 0.0))
 
+
+class Picturesque(Bench):
+    """A bench with hands, one part, and a camera that sees gray."""
+
+    beat = CameraBeat(0.02, 0.004, 0.01)
+
+    def __init__(self) -> None:
+        super().__init__([ServoSpec(*servo) for servo in SERVOS])
+        self.hands = Hands()
+        self.on_table = True
+
+    @property
+    def presenter(self) -> Hands:
+        return self.hands
+
+    def expose(self) -> float:
+        return self.plant.now()
+
+    def paint(self, shot: float) -> NDArray[np.uint8]:
+        return np.full((4, 6, 3), 7, np.uint8)
+
     def truth(self) -> tuple[TruePart, ...]:
-        return (PART,)
+        return (PART,) if self.on_table else ()
 
     def truth_at(self, at: float) -> tuple[TruePart, ...]:
         assert abs(at - self.plant.now()) < 60.0  # asked in the world's own time, not the client's
         return (PART,)
+
+    def set_aside(self) -> None:
+        self.on_table = False
+
+    def scatter(self) -> None:
+        self.on_table = True
 
 
 @pytest.fixture
@@ -127,6 +145,7 @@ def test_the_ports_work_through_the_socket(cell: Picturesque, path: str) -> None
     camera.open()
     asked = clock.now() + 0.02
     frame = camera.capture(asked)
+    assert camera.capture(asked).frame_id == frame.frame_id + 1
     assert frame.image.shape == (4, 6, 3)
     assert int(frame.image.max()) == 7
     assert not frame.image.flags.writeable
@@ -137,9 +156,13 @@ def test_the_ports_work_through_the_socket(cell: Picturesque, path: str) -> None
     presenter.lay(board, 0.5)
     presenter.hold(board, 0.5, pose(z=7.0))
     presenter.remove()
-    assert cell.shown == [("lay", (3, 2), 0.5), ("hold", (3, 2), 7.0), ("remove", (), 0.0)]
+    assert cell.hands.shown == [("lay", (3, 2), 0.5), ("hold", (3, 2), 7.0), ("remove", (), 0.0)]
     assert list(truth.now()) == [PART]
     assert list(truth.at(clock.now())) == [PART]
+    truth.set_aside()
+    assert list(truth.now()) == []
+    truth.scatter()
+    assert list(truth.now()) == [PART]
     assert truth.collisions() == 0
     assert truth.servo(1)["torque"] is False
     for remote in (camera, presenter, truth):
