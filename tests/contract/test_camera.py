@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from controller.config.arm import load_arm
 from drivers.camera.v4l2 import V4l2Camera
 from drivers.clock import MonotonicClock
 from sim_backends.replay_camera import ReplayCamera
@@ -46,6 +47,18 @@ class TestV4l2CameraOnAScriptedDevice(CameraSuite):
         )
         yield CameraCell(camera, clock, SIZE)
         camera.close()
+
+
+class TestSimulatedCamera(CameraSuite):
+    @pytest.fixture
+    def cell(self) -> Iterator[CameraCell]:
+        pytest.importorskip("mujoco", reason="the extra `sim` is not installed")
+        from sim_backends.cell import SimulatedCell
+        from sim_backends.cell_spec import CellSpec
+
+        simulated = SimulatedCell(CellSpec(load_arm("reactorx_150"), image_size=(160, 90), parts=2, seed=3))
+        yield CameraCell(simulated.camera, simulated.clock, (160, 90))
+        simulated.camera.close()
 
 
 @pytest.mark.hardware
