@@ -296,9 +296,10 @@ class Bus:
         """Replies of these servos with `size` bytes of data (or an error and none), until all or silence."""
         longest = 4 + size + (size + 2) // 3 + _PADS  # with every possible stuffed byte
         parser = StatusParser(longest)
+        conflicts = 0
         window = _RETURN_DELAY + (protocol.STATUS_OVERHEAD + size) * self._byte_time + self._latency
         pending = set(servo_ids)
-        found: list[Status] = []
+        found: dict[int, Status] = {}
         deadline = max(self._clock.now(), self._line_free) + window
         while pending:
             chunk = self._stream.read(
@@ -308,16 +309,19 @@ class Bus:
                 fits = len(status.data) == size or (not status.data and status.error & ~protocol.ALERT)
                 if status.servo_id in pending and fits:
                     pending.discard(status.servo_id)
-                    found.append(status)
+                    found[status.servo_id] = status
                     deadline = self._clock.now() + window
-                else:
-                    self.statistics.strays += 1
+                    continue
+                self.statistics.strays += 1
+                if fits and found.pop(status.servo_id, None) is not None:
+                    # Two different servos under one ID: nobody can say whose value is whose.
+                    conflicts += 1
             if not chunk:
                 break
-        self._account(found, len(pending))
+        self._account(len(found), len(pending) + conflicts)
         self.statistics.corrupt += parser.bad_checksums
         self.statistics.skipped_bytes += parser.skipped
-        return found
+        return list(found.values())
 
     def _collect_fast(self, servo_ids: list[int], size: int) -> list[Status]:
         total = 7 + protocol.fast_length(len(servo_ids), size)
@@ -339,14 +343,14 @@ class Bus:
                 self.statistics.strays += 1
                 break
             found.append(block)
-        self._account(found, len(servo_ids) - len(found))
+        self._account(len(found), len(servo_ids) - len(found))
         if start >= 0 and len(buffer) - start >= total and len(found) < len(servo_ids):
             self.statistics.corrupt += 1
         self.statistics.skipped_bytes += len(buffer) if start < 0 else len(buffer) - min(total, len(buffer) - start)
         return found
 
-    def _account(self, found: Sequence[Status], missing: int) -> None:
-        self.statistics.replies += len(found)
+    def _account(self, found: int, missing: int) -> None:
+        self.statistics.replies += found
         self.statistics.timeouts += missing
         self._line_free = self._clock.now()
 

@@ -28,7 +28,7 @@ FOLLOWING_LIMIT = 0.30
 
 _FOLLOWING_CYCLES = 5
 _SETTLED_SPEED = 0.05  # rad/s: two units of Present_Velocity
-_SETTLED_CYCLES = 2
+_SETTLED_CYCLES = 4  # the turning point of a last swing of 0.01 rad lasts three
 _SETTLE_TIME = 0.5  # s: joints whose sag is not modelled need up to 0.3
 _SLIP_LIMIT = 2.0  # s a move may lose to late cycles beyond its own duration
 

@@ -1,0 +1,410 @@
+"""The bus layer: nothing invented, nothing hidden, nothing waited for too long.
+
+Numbers in comments name the defect of the stock SDK that a test guards against.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.errors import BusError
+from drivers.arm import protocol
+from drivers.arm.bus import LATE_REPLY, Bus
+from drivers.arm.sdk_port import SdkPort
+from drivers.arm.servos import TELEMETRY
+from sim_backends.virtual_dynamixel.faults import Fault
+from sim_backends.virtual_dynamixel.protocol import status_packet
+from tests.unit.drivers.bench import PlantClock, ScriptedLine, scripted_bus, virtual_bus
+
+POSITION = (132, 4)
+IDS = [1, 2, 3, 4, 5]
+
+
+def _answering(*packets: bytes) -> tuple[Bus, ScriptedLine]:
+    """A bus whose line answers the n-th instruction with the n-th packet, at once, then nothing."""
+    queue = list(packets)
+
+    def answer(_: bytes) -> list[tuple[float, bytes]]:
+        return [(0.0005, queue.pop(0))] if queue else []
+
+    return scripted_bus(answer)
+
+
+# --- one servo --------------------------------------------------------------------------------------------
+
+
+def test_ping_tells_model_firmware_and_alert() -> None:
+    bus, bench, _ = virtual_bus()
+    bench.strike(Fault.OVERHEAT, 2)
+    assert bus.ping(1).model_number == 1020
+    assert not bus.ping(1).alert
+    assert bus.ping(2).alert  # an alert is no absence
+
+
+def test_registers_are_read_and_written_with_their_sign() -> None:
+    bus, _, _ = virtual_bus()
+    bus.write_register(1, "Homing_Offset", -700)
+    assert bus.read_register(1, "Homing_Offset") == -700
+    with pytest.raises(OverflowError):
+        bus.write_register(1, "Return_Delay_Time", 256)
+
+
+def test_an_error_without_data_is_no_value() -> None:
+    """(4) The SDK takes the checksum's bytes for the value, or raises IndexError."""
+    bus, _ = _answering(status_packet(1, 0x07))
+    with pytest.raises(BusError) as caught:
+        bus.read(1, *POSITION)
+    assert caught.value.code == "refused"
+    assert "access" in str(caught.value).lower() or "available" in str(caught.value)
+
+
+def test_a_refused_write_says_so_and_is_not_repeated() -> None:
+    bus, bench, _ = virtual_bus()
+    bus.write_register(1, "Torque_Enable", 1)
+    sent = bus.statistics.transactions
+    with pytest.raises(BusError, match="not available") as caught:
+        bus.write_register(1, "Operating_Mode", 4)
+    assert caught.value.code == "refused"
+    assert bus.statistics.transactions == sent + 1
+    assert bench.servo(1).table.get("Operating_Mode") == 3
+
+
+def test_a_write_that_is_not_answered_is_not_repeated() -> None:
+    bus, line = _answering()
+    with pytest.raises(BusError) as caught:
+        bus.write_register(1, "Torque_Enable", 1)
+    assert caught.value.code == "timeout"
+    assert len(line.written) == 1
+
+
+def test_reads_are_repeated_and_counted() -> None:
+    bus, line = _answering(b"", status_packet(1, 0, b"\x01\x02\x03\x04"))
+    assert bus.read(1, *POSITION).data == b"\x01\x02\x03\x04"
+    assert len(line.written) == 2
+    assert bus.statistics.retries == 1
+    assert bus.statistics.timeouts == 1
+
+
+def test_two_servos_with_one_id_look_corrupt_not_absent() -> None:
+    broken = bytearray(status_packet(1, 0, b"abcd"))
+    broken[9] ^= 0x55
+    bus, _ = _answering(bytes(broken), bytes(broken), bytes(broken))
+    with pytest.raises(BusError) as caught:
+        bus.read(1, *POSITION)
+    assert caught.value.code == "corrupt"
+    assert "same ID" in caught.value.remedy
+
+
+def test_other_ids_and_other_lengths_are_strays() -> None:
+    bus, _ = _answering(status_packet(2, 0, b"abcd") + status_packet(1, 0, b"abc") + status_packet(1, 0, b"good"))
+    assert bus.read(1, *POSITION).data == b"good"
+    assert bus.statistics.strays == 2
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
+    """Homing_Offset arrives 50 ms late, while Present_Position of the same length is being asked for."""
+    asked: list[bytes] = []
+
+    def answer(packet: bytes) -> list[tuple[float, bytes]]:
+        asked.append(packet)
+        return [(0.050, status_packet(1, 0, b"LATE"))] if len(asked) == 1 else [(0.001, status_packet(1, 0, b"good"))]
+
+    bus, _ = scripted_bus(answer)
+    with pytest.raises(BusError):
+        bus.read(1, 20, 4, retries=0)
+    assert bus.read(1, *POSITION).data == b"good"
+
+
+@pytest.mark.parametrize("delay", [0.010, 0.020, 0.035, 0.050])
+def test_a_late_answer_is_not_taken_for_that_of_a_later_sync_read(delay: float) -> None:
+    """A servo that counts: every answer carries the number of the question it belongs to."""
+    asked = 0
+
+    def answer(packet: bytes) -> list[tuple[float, bytes]]:
+        nonlocal asked
+        asked += 1
+        size = packet[10]
+        data = bytes((asked,)) * size
+        return [(delay if asked == 3 else 0.001, status_packet(1, 0, data))]
+
+    bus, line = scripted_bus(answer)
+    for number in range(1, 20):
+        tick = line.now() + 0.010
+        reply = bus.sync_read([1], *TELEMETRY)[1]
+        if number == 3:
+            assert reply is None
+        else:
+            assert reply is not None
+            assert set(reply.data) == {number}
+            assert len(reply.data) == TELEMETRY[1]
+        line.sleep(tick - line.now())
+    assert bus.statistics.timeouts == 1
+
+
+def test_a_process_that_was_stopped_still_finds_the_answer() -> None:
+    """(12) The SDK gives up after looking at the clock, not at the line."""
+    bus, line = _answering(status_packet(1, 0, b"good"))
+    write = line.write
+
+    def slow_write(data: bytes) -> None:
+        write(data)
+        line.sleep(0.060)
+
+    line.write = slow_write  # type: ignore[method-assign]  # the process sleeps right behind its write
+    assert bus.read(1, *POSITION).data == b"good"
+
+
+def test_waiting_is_blocking_not_polling() -> None:
+    """(1) The SDK looks hundreds of times per transaction; here once per piece that arrives."""
+    bus, line = _answering(status_packet(1, 0, b"good"))
+    bus.read(1, *POSITION)
+    assert line.reads <= 2
+
+
+# --- several servos ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000])
+@pytest.mark.parametrize("fast", [False, True])
+def test_sync_read_of_all(baud: int, fast: bool) -> None:
+    bus, _, plant = virtual_bus(5, baud)
+    for servo_id in IDS:
+        plant.place(servo_id, 0.1 * servo_id)
+    assert bus.probe_fast(IDS, *POSITION)
+    bus.fast = fast
+    values = bus.sync_read_register(IDS, "Present_Position")
+    assert values == {i: 2048 + round(0.1 * i * 4096 / 6.283185307) for i in IDS}
+    assert bus.statistics.timeouts == 0
+
+
+@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("missing", IDS)
+def test_a_missing_servo_is_none_and_hides_no_other(missing: int, fast: bool) -> None:
+    """(6) The SDK fails the whole group and then reads 0. The issue allows 12 ms for the gap."""
+    bus, bench, plant = virtual_bus(5)
+    bus.fast = fast
+    began = plant.now()
+    bus.sync_read(IDS, *TELEMETRY)
+    usual = plant.now() - began
+    bench.strike(Fault.SILENT, missing)
+    began = plant.now()
+    replies = bus.sync_read(IDS, *TELEMETRY)
+    assert [servo_id for servo_id in IDS if replies[servo_id] is None] == [missing]
+    assert plant.now() - began - usual <= 0.012
+
+
+def test_two_missing_servos_hide_no_other() -> None:
+    bus, bench, _ = virtual_bus(5)
+    for servo_id in (1, 3):
+        bench.strike(Fault.SILENT, servo_id)
+    replies = bus.sync_read(IDS, *TELEMETRY)
+    assert [servo_id for servo_id in IDS if replies[servo_id] is not None] == [2, 4, 5]
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_group_reads_keep_every_alert(fast: bool) -> None:
+    """(5) The SDK's group reads drop the error byte. (11) Its easy layer raises ValueError on an alert."""
+    bus, bench, _ = virtual_bus(5)
+    bus.fast = fast
+    bench.strike(Fault.OVERLOAD, 3)
+    replies = bus.sync_read(IDS, *TELEMETRY)
+    assert [i for i in IDS if (reply := replies[i]) is not None and reply.alert] == [3]
+    assert all(reply is not None and len(reply.data) == TELEMETRY[1] for reply in replies.values())
+
+
+@pytest.mark.parametrize("fault", [Fault.DROP, Fault.CORRUPT, Fault.TRUNCATE, Fault.WRONG_ID])
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_spoilt_answer_is_none_and_the_next_read_is_clean(fault: Fault, fast: bool) -> None:
+    """(7) The SDK returns at once and collides with the answers still on the line. (8) Inner checksums count."""
+    bus, bench, _ = virtual_bus(5)
+    bus.fast = fast
+    bench.faults.once(fault, None if fast else 2)
+    replies = bus.sync_read(IDS, *TELEMETRY)
+    assert sum(reply is None for reply in replies.values()) == 1
+    assert None not in bus.sync_read(IDS, *TELEMETRY).values()
+
+
+def test_noise_before_an_answer_does_not_spoil_it() -> None:
+    bus, bench, _ = virtual_bus(5)
+    bench.faults.once(Fault.NOISE, 2)
+    assert None not in bus.sync_read(IDS, *TELEMETRY).values()
+    assert bus.statistics.skipped_bytes > 0
+
+
+def test_a_header_among_the_values_reaches_the_servo() -> None:
+    """(2) The SDK sends it unstuffed, and a strict receiver drops the packet, in a sync write for all servos."""
+    bus, bench, _ = virtual_bus(2)
+    # Servo 253 does not exist; its ID behind the bytes of -1 makes the header FF FF FD.
+    bus.sync_write("Homing_Offset", {1: -1, 253: 0, 2: 7})
+    assert bench.servo(1).table.get("Homing_Offset") == -1
+    assert bench.servo(2).table.get("Homing_Offset") == 7
+
+
+def test_two_answers_under_one_id_are_none() -> None:
+    """Nobody can say which of the two is the servo that was meant."""
+
+    def answer(packet: bytes) -> list[tuple[float, bytes]]:
+        ids = packet[12:-2]
+        return [(0.001, status_packet(2 if servo_id == 1 else servo_id, 0, bytes(4))) for servo_id in ids]
+
+    bus, _ = scripted_bus(answer)
+    replies = bus.sync_read([1, 2, 3], *POSITION)
+    assert replies[1] is None
+    assert replies[3] is not None
+
+
+def test_fast_read_is_given_up_when_it_keeps_failing() -> None:
+    bus, bench, _ = virtual_bus(5)
+    assert bus.probe_fast(IDS, *TELEMETRY)
+    for _ in range(3):
+        bench.faults.once(Fault.CORRUPT)
+        bus.sync_read(IDS, *TELEMETRY)
+    assert not bus.fast
+    assert bus.statistics.fast_fallbacks == 1
+    assert None not in bus.sync_read(IDS, *TELEMETRY).values()
+
+
+def test_firmware_without_fast_read_is_found_out_once() -> None:
+    def answer(packet: bytes) -> list[tuple[float, bytes]]:
+        if packet[7] != protocol.SYNC_READ:
+            return []
+        return [(0.001, status_packet(servo_id, 0, bytes(packet[10]))) for servo_id in packet[12:-2]]
+
+    bus, _ = scripted_bus(answer)
+    assert not bus.probe_fast(IDS, *TELEMETRY)
+    assert None not in bus.sync_read(IDS, *TELEMETRY).values()
+
+
+def test_an_unanswered_write_is_on_the_wire_before_the_deadline_starts() -> None:
+    """At 57 600 bit/s a sync write takes longer than the latency margin."""
+    bus, _, _ = virtual_bus(5, 57_600)
+    for _ in range(3):
+        bus.sync_write("Goal_Position", dict.fromkeys(IDS, 2048))
+    assert None not in bus.sync_read(IDS, *TELEMETRY).values()
+
+
+# --- loss, threads, fuzz ----------------------------------------------------------------------------------
+
+
+def test_unplugged_is_a_bus_error_at_once_and_the_same_bus_reopens() -> None:
+    """(9) The SDK raises termios.error and answers "port busy" for ever after."""
+    bus, bench, plant = virtual_bus()
+    bench.strike(Fault.DISCONNECT)
+    began = plant.now()
+    with pytest.raises(BusError) as caught:
+        bus.read(1, *POSITION)
+    assert caught.value.code == "lost"
+    assert plant.now() == began
+    bench.heal()
+    bus.close()
+    bus.open()
+    assert bus.ping(1).model_number == 1020
+
+
+def test_threads_take_turns() -> None:
+    """(10) The SDK answers "busy" or mixes the answers up."""
+    bus, _, plant = virtual_bus()
+    for servo_id in IDS:
+        plant.place(servo_id, 0.1 * servo_id)
+    wanted = bus.sync_read_register(IDS, "Present_Position")
+    wrong: list[object] = []
+
+    def work(servo_id: int) -> None:
+        for _ in range(200):
+            if bus.read_register(servo_id, "Present_Position") != wanted[servo_id]:
+                wrong.append(servo_id)
+
+    threads = [threading.Thread(target=work, args=(servo_id,)) for servo_id in (1, 2, 3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+    assert bus.statistics.timeouts == 0
+
+
+_PIECES = st.one_of(
+    st.binary(max_size=30),
+    st.sampled_from([status_packet(1, 0, b"abcd"), status_packet(2, 0, b"abcd"), status_packet(1, 0x87)]),
+    st.sampled_from([b"\xff\xff\xfd\x00", b"\xff\xff\xfd\x00\xfe\x11\x00\x55"]),
+)
+
+
+@settings(max_examples=200)
+@given(st.lists(st.lists(_PIECES, max_size=4).map(b"".join), max_size=4), st.booleans())
+def test_garbage_raises_only_bus_errors_and_gives_only_sent_values(answers: list[bytes], fast: bool) -> None:
+    queue = list(answers)
+    bus, _ = scripted_bus(lambda _: [(0.001, queue.pop(0))] if queue else [])
+    bus.fast = fast
+    replies = bus.sync_read([1, 2], *POSITION)
+    for reply in replies.values():
+        assert reply is None or not reply.data or any(reply.data in answer for answer in answers)
+    try:
+        reply = bus.read(1, *POSITION)
+    except BusError as error:
+        assert error.code in {"timeout", "corrupt", "refused"}
+    else:
+        assert reply.data == b"abcd"
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_ten_thousand_bad_cycles_give_no_wrong_value(fast: bool) -> None:
+    """1 % each of dropped, corrupted, truncated, noisy and up to 50 ms late packets."""
+    bus, bench, plant = virtual_bus(5)
+    for fault in (Fault.DROP, Fault.CORRUPT, Fault.TRUNCATE, Fault.DELAY, Fault.NOISE):
+        bench.faults.set_rate(fault, 0.01)
+    missed = 0
+    for cycle in range(10_000 // 2):
+        bus.fast = fast
+        tick = plant.now() + 0.010
+        # Every servo has another angle in every cycle: a late answer cannot be right by chance.
+        for servo_id in IDS:
+            plant.place(servo_id, 0.0032 * (cycle % 500) + 0.05 * servo_id)
+        for servo_id, value in bus.sync_read_register(IDS, "Present_Position").items():
+            expected = 2048 + (0.0032 * (cycle % 500) + 0.05 * servo_id) * 4096 / 6.283185307179586
+            if value is None:
+                missed += 1
+            else:
+                assert abs(value - expected) <= 0.51
+        plant.advance(max(0.0, tick - plant.now()))
+    assert 100 < missed < 5_000
+    assert bus.statistics.corrupt > 10
+
+
+def test_late_window_covers_the_longest_delay() -> None:
+    _, bench, _ = virtual_bus()
+    assert bench.faults.longest_delay < LATE_REPLY
+
+
+# --- the stock SDK over our port --------------------------------------------------------------------------
+
+
+def test_the_stock_sdk_agrees_over_our_port() -> None:
+    sdk = pytest.importorskip("dynamixel_sdk")
+    bus, bench, plant = virtual_bus()
+    for servo_id in IDS:
+        plant.place(servo_id, 0.1 * servo_id)
+    wanted = bus.sync_read_register(IDS, "Present_Position")
+    bus.close()
+    port = SdkPort(bus._stream, PlantClock(plant), 1_000_000)
+    assert port.openPort()
+    handler = sdk.PacketHandler(2.0)
+    assert handler.ping(port, 3) == (1020, 0, 0)
+    assert handler.write1ByteTxRx(port, 3, 65, 1) == (0, 0)
+    assert bench.servo(3).table.get("LED") == 1
+    assert handler.read4ByteTxRx(port, 3, 132) == (wanted[3], 0, 0)
+    group = sdk.GroupSyncRead(port, handler, 132, 4)
+    for servo_id in IDS:
+        group.addParam(servo_id)
+    assert group.txRxPacket() == 0
+    assert {i: group.getData(i, 132, 4) for i in IDS} == wanted
+    assert handler.ping(port, 99)[1] == -3001  # no answer, and no waiting for ever on a simulated clock
+    bench.strike(Fault.DISCONNECT)
+    with pytest.raises(BusError):
+        handler.ping(port, 3)
+    assert not port.is_using
+    port.closePort()
