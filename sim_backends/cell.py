@@ -131,12 +131,13 @@ class SimulatedCell:
         world, arm = self.world, self.spec.arm
         bodies = [0 if s.body == "world" else world.body(s.body) for s in world.solids]
         parts = [s.body.startswith("part") for s in world.solids]
+        groups = world.fixed_groups()
         at_gripper = np.eye(4)
         at_gripper[:3, 3] = arm.tool
         picture, pixel_mm = marker_picture(self.spec.marker)
         marker = Print(picture, pixel_mm, at_gripper @ self.T_tool_marker, y_up=True)
         assert link_name(len(arm.joints) - 1) in {s.body for s in world.solids if s.decal}
-        return Painter(world.solids, bodies, parts, lens, look, {"marker": marker})
+        return Painter(world.solids, bodies, parts, groups, lens, look, {"marker": marker})
 
 
 def marker_picture(marker: MarkerMount) -> tuple[Image, float]:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from sim_backends.imperfections import Imperfections
 from sim_backends.lens import Lens
-from sim_backends.painter_raster import Region, blend, clean, coverage, fill, offset, region_of
-from sim_backends.painter_scene import Scene, View
-from sim_backends.painter_surface import Print, Projector, table_texture
+from sim_backends.painter_raster import GROWTH, Region, blend, clean, coverage, distinct, fill, offset, region_of
+from sim_backends.painter_scene import Scene, View, meet
+from sim_backends.painter_surface import NO_MAP, Print, Projector, table_texture
 from sim_backends.solids import Array, Solid, box
 from sim_backends.world import Snapshot
 from sim_backends.world_model import TABLE_HIGH, TABLE_LOW, TABLE_THICKNESS
@@ -29,12 +29,13 @@ Image = NDArray[np.uint8]
 
 _LAMP_SAMPLES = 6
 _LAMP_RADIUS = 0.055  # half width of the lamp as seen from the table, rad
-_AMBIENT = 0.42
+_AMBIENT = 0.55
 _ROOM = (62.0, 58.0, 56.0)
 _TABLE_EDGE = (118.0, 132.0, 142.0)
 _TEXTURE_PER_MM = 2.0
 # Fine pixels per pixel: small things are drawn finest, and the arm, whose size nobody measures, coarsest.
 _SMALL = 160
+_FLAT = 0.5  # what rises less above the table casts no shadow, mm
 _BLEED = 3.0  # how far inner faces are drawn beyond the outline that will cut them off, px
 
 
@@ -70,6 +71,7 @@ class Painter:
         solids: Everything convex in the world.
         bodies: Index of the body that carries each, as in a snapshot.
         parts: Which of the solids are parts (not painted while they are set aside).
+        groups: For solids that never move the name of what they are part of, e.g. a bin; "" for the others.
         lens: The camera.
         look: Light, lens and sensor.
         decals: Pictures shown on solids that name them: the print in the coordinates of the solid's body.
@@ -80,6 +82,7 @@ class Painter:
         solids: Sequence[Solid],
         bodies: Sequence[int],
         parts: Sequence[bool],
+        groups: Sequence[str],
         lens: Lens,
         look: Look,
         decals: Mapping[str, Print],
@@ -92,34 +95,84 @@ class Painter:
         self._decals = {i: decals[s.decal] for i, s in enumerate(solids) if s.decal}
         self._projector = Projector(lens)
         self._lamp = _direction(look.lamp_azimuth, look.lamp_elevation)
-        self._lamps = self._lamp_samples()
+        lamps = self._lamp_samples()
+        self._slopes = lamps[:, :2] / lamps[:, 2:]
+        self._half_size = (lens.size[0] // 2, lens.size[1] // 2)
         self._colours = np.array([s.colour for s in solids for _ in s.faces])
-        self._ground = self._paint_ground()
         self._light = self._light_field()
         self._noise = self._noise_bank()
         self._noise_random = np.random.default_rng([look.seed, 6])
+        self._fixed = np.array([bool(g) for g in groups])
+        names = sorted(set(groups) - {""})
+        self._group = np.array([names.index(g) if g else -1 for g in groups])
+        self._set_stage(len(names))
+
+    def _set_stage(self, groups: int) -> None:
+        """Paint once what never moves: the ground with its shadows, and on a copy of it the fixed solids."""
+        still = Snapshot(0.0, np.zeros((1, 3)), np.eye(3)[None], False)
+        vertices = np.zeros((self._scene.vertex_count, 3))
+        for fixed in np.flatnonzero(self._fixed):
+            rows = self._scene.vertices_of(int(fixed))
+            vertices[rows] = self._scene.local[rows]
+        self._lamp_masks: list[Image] = []
+        self._shadow = np.zeros(self._half_size[::-1], np.uint8)
+        self._ground = self._paint_ground()
+        self._shade(self._ground, vertices, self._fixed)
+        view = self._scene.view(vertices, self.lens)
+        tones = self._tones(view.normals)
+        order = self._scene.order(view, self._fixed)
+        self._stage = self._ground.copy()
+        self._group_boxes = np.full((groups, 4), np.nan)
+        for index in order:
+            self._solid(self._stage, view, index, tones, still)
+        for group in range(groups):
+            seen = [i for i in order if self._group[i] == group]
+            if seen:
+                self._group_boxes[group, :2] = view.boxes[seen, :2].min(axis=0) - 2.0
+                self._group_boxes[group, 2:] = view.boxes[seen, 2:].max(axis=0) + 3.0
 
     def paint(self, snapshot: Snapshot, sheet: Print | None = None, board: Print | None = None) -> Image:
         """The picture, (H, W, 3), dtype uint8, BGR.
 
         Args:
             snapshot: The moment.
-            sheet: A print that lies on the table.
+            sheet: A print that lies on the table, clear of what is fixed there.
             board: A print held between everything else and the camera.
         """
-        picture = self._ground.copy()
+        picture = self._stage.copy()
         if sheet is not None:
             self._lay(picture, sheet)
+        moving = ~self._fixed & ~self._parts if snapshot.aside else ~self._fixed
         vertices = self._scene.move(snapshot.positions, snapshot.rotations)
-        shown = ~self._parts if snapshot.aside else np.ones(len(self._parts), bool)
-        self._shade(picture, vertices, shown)
-        view = self._scene.view(vertices, self.lens, shown)
+        view = self._scene.view(vertices, self.lens)
+        again = self._overlapped(view.boxes[moving & view.inside])
+        if again:
+            self._uncover(picture, again)
+        self._shade(picture, vertices, moving)
         tones = self._tones(view.normals)
-        for index in view.order:
+        for index in self._scene.order(view, moving | np.isin(self._group, again)):
             self._solid(picture, view, index, tones, snapshot)
         if board is not None:
             self._lay(picture, board)
         return self._expose(picture)
+
+    def _overlapped(self, boxes: Array) -> list[int]:
+        """Fixed groups that something in these boxes may cover or be covered by, and those that overlap them."""
+        found: list[int] = []
+        while len(boxes):
+            more = [int(g) for g in np.flatnonzero(meet(self._group_boxes, boxes).any(axis=1)) if g not in found]
+            found += more
+            boxes = self._group_boxes[more]
+        return found
+
+    def _uncover(self, picture: Image, groups: Sequence[int]) -> None:
+        """Bare ground where these groups stand, to paint them anew."""
+        width, height = self.lens.size
+        for group in groups:
+            x0, y0, x1, y1 = self._group_boxes[group]
+            rows = slice(max(0, int(y0)), max(0, min(height, math.ceil(y1))))
+            columns = slice(max(0, int(x0)), max(0, min(width, math.ceil(x1))))
+            picture[rows, columns] = self._ground[rows, columns]
 
     # --- light -----------------------------------------------------------------------------------------------
 
@@ -128,7 +181,7 @@ class Painter:
         up = _AMBIENT + (1.0 - _AMBIENT) * self._lamp[2]
         # Light from the whole sky reaches a face that looks sideways by half.
         sky = 0.5 + 0.5 * normals[:, 2]
-        light = _AMBIENT * (0.35 + 0.65 * sky) + (1.0 - _AMBIENT) * np.maximum(0.0, normals @ self._lamp)
+        light = _AMBIENT * sky + (1.0 - _AMBIENT) * np.maximum(0.0, normals @ self._lamp)
         return np.asarray(np.minimum(self._colours * (light / up)[:, None], 255.0))
 
     def _lamp_samples(self) -> Array:
@@ -141,45 +194,66 @@ class Painter:
         return np.asarray(self._lamp + _LAMP_RADIUS * rim)
 
     def _shade(self, picture: Image, vertices: Array, shown: NDArray[np.bool_]) -> None:
-        """Darken the table where solids stand in the light."""
-        depth = self._look.shadow_depth
-        if depth <= 0.0:
-            return
-        width, height = self.lens.size
-        half = (width // 2, height // 2)
-        slope = self._lamps[:, :2] / self._lamps[:, 2:]
-        z = np.maximum(vertices[:, 2], 0.0)
-        flat = vertices[None, :, :2] - z[None, :, None] * slope[:, None, :]
-        ground = np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
-        pixels, ahead = self.lens.project(ground.reshape(-1, 3))
-        # Half resolution, 4 fractional bits; far away is as good as out of the picture.
-        points = np.clip((pixels + 0.5) / 2.0 - 0.5, -2000.0, 4000.0).reshape(len(slope), -1, 2).astype(np.float32)
-        total = np.zeros((half[1], half[0]), np.uint8)
-        mask = np.empty_like(total)
-        share = 255.0 / len(slope)
-        wanted = [i for i in np.flatnonzero(shown) if self._casts(i, points, ahead.reshape(len(slope), -1), vertices, half)]
-        if not wanted:
-            return
-        for lamp in range(len(slope)):
-            mask[:] = 0
-            for index in wanted:
-                hull = cv2.convexHull(points[lamp, self._scene.vertices_of(index)])
-                cv2.fillConvexPoly(mask, np.rint(hull * 16.0).astype(np.int32), share, cv2.LINE_AA, 4)  # type: ignore[call-overload]
-            cv2.add(total, mask, dst=total)
-        soft = cv2.GaussianBlur(total, (0, 0), 1.2)
-        full = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
-        gain = cv2.convertScaleAbs(full, alpha=-depth, beta=255.0)
-        cv2.multiply(picture, cv2.merge([gain, gain, gain]), dst=picture, scale=1 / 255.0)
+        """Darken the table where these solids stand in the light and the fixed ones do not already.
 
-    def _casts(
-        self, index: int, points: NDArray[np.float32], ahead: NDArray[np.bool_], vertices: Array, size: tuple[int, int]
-    ) -> bool:
-        rows = self._scene.vertices_of(index)
-        if not ahead[:, rows].all() or vertices[rows, 2].max() < 0.5:
-            return False
-        own = points[:, rows].reshape(-1, 2)
-        low, high = own.min(axis=0), own.max(axis=0)
-        return bool((high > 0.0).all() and (low < size).all())
+        A lamp has some width: the shadows of several points of it, averaged, fade at their rims.
+        """
+        depth = self._look.shadow_depth
+        if depth <= 0.0 or not shown.any():
+            return
+        lamps = len(self._slopes)
+        tall = [int(i) for i in np.flatnonzero(shown) if vertices[self._scene.vertices_of(int(i)), 2].max() > _FLAT]
+        if not tall:
+            return
+        sizes = [len(self._scene.solids[i].vertices) for i in tall]
+        ends = np.cumsum(sizes)
+        mine = vertices[np.concatenate([np.arange(len(vertices))[self._scene.vertices_of(i)] for i in tall])]
+        ground = np.zeros((lamps, len(mine), 3))
+        ground[:, :, :2] = mine[:, :2] - np.maximum(mine[:, 2:], 0.0) * self._slopes[:, None, :]
+        pixels, ahead = self.lens.project(ground.reshape(-1, 3))
+        # At half resolution; far away is as good as out of the picture.
+        points = np.clip((pixels + 0.5) / 2.0 - 0.5, -2000.0, 4000.0).reshape(lamps, -1, 2).astype(np.float32)
+        ahead = ahead.reshape(lamps, -1)
+        rows = [slice(end - size, end) for end, size in zip(ends.tolist(), sizes, strict=True)]
+        casting = [own for own in rows if ahead[:, own].all() and self._falls_into(points[:, own].reshape(-1, 2))]
+        if not casting:
+            return
+        spread = np.vstack([points[:, own].reshape(-1, 2) for own in casting]).astype(np.float64)
+        region = region_of(spread, self._half_size, 6)
+        if region is None:
+            return
+        total, masks = self._cast(casting, points, region)
+        x0, y0, x1, y1 = region
+        fresh = cv2.subtract(total, self._shadow[y0:y1, x0:x1])
+        if not self._lamp_masks:
+            # The first call is for what is fixed.
+            self._lamp_masks = [np.zeros(self._half_size[::-1], np.uint8) for _ in masks]
+            for whole, mask in zip(self._lamp_masks, masks, strict=True):
+                whole[y0:y1, x0:x1] = mask
+            self._shadow[y0:y1, x0:x1] = total
+        soft = cv2.GaussianBlur(fresh, (0, 0), 1.2)
+        full = cv2.resize(soft, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        gain = cv2.convertScaleAbs(full, alpha=-depth, beta=255.0)
+        part = picture[2 * y0 : 2 * y1, 2 * x0 : 2 * x1]
+        cv2.multiply(part, cv2.merge([gain, gain, gain]), dst=part, scale=1 / 255.0)
+
+    def _cast(self, casting: list[slice], points: NDArray[np.float32], region: Region) -> tuple[Image, list[Image]]:
+        """Sum of the shadows of all lamps in a region at half resolution, and each lamp's own."""
+        x0, y0, x1, y1 = region
+        total = np.zeros((y1 - y0, x1 - x0), np.uint8)
+        masks = []
+        share = 255.0 / len(points)
+        for lamp, own in enumerate(points):
+            mask = self._lamp_masks[lamp][y0:y1, x0:x1].copy() if self._lamp_masks else np.zeros_like(total)
+            for rows in casting:
+                hull = cv2.convexHull(own[rows]) - np.array([x0, y0], np.float32)
+                cv2.fillConvexPoly(mask, np.rint(hull * 16.0).astype(np.int32), share, cv2.LINE_AA, 4)
+            cv2.add(total, mask, dst=total)
+            masks.append(mask)
+        return total, masks
+
+    def _falls_into(self, points: NDArray[np.float32]) -> bool:
+        return bool((points.max(axis=0) > 0.0).all() and (points.min(axis=0) < self._half_size).all())
 
     def _light_field(self) -> NDArray[np.float32] | None:
         """Gain of every pixel, (H, W, 3), for uneven light, vignetting and exposure."""
@@ -207,28 +281,22 @@ class Painter:
         region = (0, 0, width, height)
         texture = table_texture(self._look.seed, TABLE_LOW, TABLE_HIGH, _TEXTURE_PER_MM)
         at = self._projector.plane(np.eye(4), region)
-        pixels = (at - np.float32(TABLE_LOW)) * np.float32(_TEXTURE_PER_MM) - np.float32(0.5)
+        low, high = np.array(TABLE_LOW, np.float32), np.array(TABLE_HIGH, np.float32)
+        pixels = (at - low) * np.float32(_TEXTURE_PER_MM) - np.float32(0.5)
         # Where the table ends is found on a finer grid, so that its edge is smooth.
         fine = self._projector.plane(np.eye(4), region, 2)
-        inside = ((fine > np.float32(TABLE_LOW)) & (fine < np.float32(TABLE_HIGH))).all(axis=2)
-        inside &= self._looks_down(region, 2)
+        inside = ((fine > low) & (fine < high)).all(axis=2) & self._projector.looks_down(region, 2)
         mask = cv2.resize(inside.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)
-        top = cv2.remap(texture, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        top = cv2.remap(texture, pixels, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         blend(picture, np.asarray(top, np.uint8), np.asarray(mask, np.uint8), region)
         return picture
-
-    def _looks_down(self, region: Region, oversample: int) -> NDArray[np.bool_]:
-        """Which rays meet the table's plane in front of the camera."""
-        rays = self._projector._finer(region, oversample)
-        down = rays @ self.lens.T_base_camera[2, :2].astype(np.float32) + np.float32(self.lens.T_base_camera[2, 2])
-        return np.asarray(down < 0.0)
 
     def _paint_table_edge(self, picture: Image) -> None:
         slab = box((*TABLE_LOW, -TABLE_THICKNESS), (*TABLE_HIGH, 0.0), body="world", colour=_TABLE_EDGE)
         scene = Scene([slab], [0])
         vertices = scene.move(np.zeros((1, 3)), np.eye(3)[None])
-        view = scene.view(vertices, self.lens, np.ones(1, bool))
-        for index in view.order:
+        view = scene.view(vertices, self.lens)
+        for index in scene.order(view, np.ones(1, bool)):
             for number in range(2, 6):
                 if view.visible[number]:
                     ring, _ = scene.face(view, index, number)
@@ -257,25 +325,26 @@ class Painter:
         mask = coverage(outline, region, 2 if large else 4)
         patch = np.empty((y1 - y0, x1 - x0, 3), np.uint8)
         face0 = self._scene.face_starts[index]
-        faces = [n for n in range(len(self._scene.solids[index].faces)) if view.visible[face0 + n]]
+        faces = np.flatnonzero(view.visible[face0 : face0 + len(self._scene.solids[index].faces)])
         origin = np.array([x0, y0], np.float64)
+        patch[:] = tones[face0 + faces[-1]]
         # Face 0 last: the top's rim is the one inner edge that anybody measures.
-        for number in sorted(faces, reverse=True):
-            self._face(patch, view, index, number, tones[face0 + number], origin)
+        for number in faces[::-1]:
+            self._face(patch, view, index, int(number), tones[face0 + number].tolist(), origin)
         blend(picture, patch, mask, region)
         decal = self._decals.get(index)
         if decal is not None and view.visible[face0]:
             self._lay(picture, self._carried(decal, index, snapshot))
 
-    def _face(self, patch: Image, view: View, index: int, number: int, tone: Array, origin: Array) -> None:
+    def _face(self, patch: Image, view: View, index: int, number: int, tone: list[float], origin: Array) -> None:
         ring, inner = self._scene.face(view, index, number)
-        step = np.abs(np.roll(ring, -1, axis=0) - ring).max(axis=1)
-        ring, inner = ring[step > 1e-2] - origin, inner[step > 1e-2]
-        if len(ring) < 3:
-            return
-        # Beyond the outline there is nothing to spare; towards another face the rim lies where it is.
-        outwards = np.where(inner, -0.665 if number == 0 else 0.0, _BLEED)
-        fill(patch, offset(ring, outwards), tuple(float(c) for c in tone))
+        if number == 0:
+            kept = distinct(ring)
+            if kept.sum() < 3:
+                return
+            # Beyond the outline there is nothing to spare; towards a side face the rim lies where it is.
+            ring = offset(ring[kept], np.where(inner[kept], -GROWTH, _BLEED))
+        fill(patch, ring - origin, tone)
 
     def _carried(self, decal: Print, index: int, snapshot: Snapshot) -> Print:
         body = self._bodies[index]

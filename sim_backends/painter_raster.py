@@ -7,6 +7,8 @@ filled at a multiple of the resolution, drawn in by that much, and averaged down
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ Mask = NDArray[np.uint8]
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1 of a picture; the ends excluded
 
 # How far `fillConvexPoly` with LINE_AA grows a shape, px (0.60 along diagonals to 0.73 along the axes).
-_GROWTH = 0.665
+GROWTH = 0.665
 _SHIFT = 8  # fractional bits of OpenCV's polygon coordinates
 
 
@@ -26,37 +28,47 @@ def offset(ring: Array, by: Array | float) -> Array:
 
     The ring's orientation does not matter; corners closer than 1e-3 px to the next must not occur.
     """
-    along = np.roll(ring, -1, axis=0) - ring
-    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
-    if _signed_area(ring) < 0.0:
-        normal = -normal
-    out = np.broadcast_to(np.asarray(by, np.float64), (len(ring),))
-    before, moved = np.roll(normal, 1, axis=0), np.roll(out, 1)
-    cosine = np.clip((before * normal).sum(axis=1), -1.0, 1.0)
+    along = np.empty_like(ring)
+    along[:-1] = ring[1:] - ring[:-1]
+    along[-1] = ring[0] - ring[-1]
+    doubled_area = float((ring[:, 0] * along[:, 1] - ring[:, 1] * along[:, 0]).sum())
+    length = np.sqrt((along**2).sum(axis=1))
+    if doubled_area < 0.0:
+        length = -length
+    normal = np.empty_like(ring)
+    normal[:, 0] = along[:, 1] / length
+    normal[:, 1] = along[:, 0] / -length
+    before = np.concatenate([normal[-1:], normal[:-1]])
+    cosine = (before * normal).sum(axis=1)
     flat = cosine > 0.999
     determinant = np.where(flat, 1.0, np.maximum(1.0 - cosine**2, 0.05))
-    a = (moved - cosine * out) / determinant
-    b = (out - cosine * moved) / determinant
-    sharp = a[:, None] * before + b[:, None] * normal
-    return np.asarray(ring + np.where(flat[:, None], (0.5 * (moved + out))[:, None] * normal, sharp))
+    if isinstance(by, np.ndarray):
+        moved = np.concatenate([by[-1:], by[:-1]])
+        a = np.where(flat, moved, moved - cosine * by) / determinant
+        b = np.where(flat, 0.0, by - cosine * moved) / determinant
+    else:
+        a = by * np.where(flat, 1.0, 1.0 - cosine) / determinant
+        b = np.where(flat, 0.0, a)
+    return np.asarray(ring + a[:, None] * before + b[:, None] * normal)
 
 
-def _signed_area(ring: Array) -> float:
-    x, y = ring[:, 0], ring[:, 1]
-    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2.0
-
-
-def fill(mask: NDArray[np.uint8], ring: Array, colour: float | tuple[float, ...]) -> None:
-    """Fill a nearly convex ring of pixels (N, 2), anti-aliased, as OpenCV does it: grown by `_GROWTH`."""
+def fill(mask: NDArray[np.uint8], ring: Array, colour: float | Sequence[float]) -> None:
+    """Fill a nearly convex ring of pixels (N, 2), anti-aliased, as OpenCV does it: grown by `GROWTH`."""
     points = np.rint(ring * (1 << _SHIFT)).astype(np.int32)
-    cv2.fillConvexPoly(mask, points, colour, cv2.LINE_AA, _SHIFT)  # type: ignore[call-overload]
+    cv2.fillConvexPoly(mask, points, colour, cv2.LINE_AA, _SHIFT)
 
 
 def clean(ring: Array) -> Array:
-    """The ring without corners that repeat the one before."""
-    step = np.abs(ring - np.roll(ring, 1, axis=0)).max(axis=1)
-    return ring[step > 1e-2]
+    """The ring without corners that repeat the next one."""
+    return ring[distinct(ring)]
+
+
+def distinct(ring: Array) -> NDArray[np.bool_]:
+    """Which corners of a ring (N, 2) are not the same as the next."""
+    step = np.empty_like(ring)
+    step[:-1] = ring[1:] - ring[:-1]
+    step[-1] = ring[0] - ring[-1]
+    return np.asarray((np.abs(step) > 1e-2).any(axis=1))
 
 
 def coverage(ring: Array, region: Region, oversample: int) -> Mask:
@@ -70,7 +82,7 @@ def coverage(ring: Array, region: Region, oversample: int) -> Mask:
     x0, y0, x1, y1 = region
     fine = (ring - (x0, y0) + 0.5) * oversample - 0.5
     mask = np.zeros(((y1 - y0) * oversample, (x1 - x0) * oversample), np.uint8)
-    fill(mask, offset(fine, -_GROWTH), 255)
+    fill(mask, offset(fine, -GROWTH), 255)
     if oversample == 1:
         return mask
     return np.asarray(cv2.resize(mask, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA), np.uint8)

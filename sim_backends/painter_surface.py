@@ -13,6 +13,8 @@ from sim_backends.painter_raster import Mask, Region
 from sim_backends.solids import Array
 
 _OVERSAMPLE = 2
+# OpenCV takes both coordinates from one map when the second is empty.
+NO_MAP = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,6 @@ class Projector:
     def warp(self, print_: Print, region: Region) -> tuple[NDArray[np.uint8], Mask]:
         """The print as the camera sees it in a region: picture (h, w, 3) and how much of each pixel it covers."""
         picture, pixel = _reduced(print_, self._scale(print_))
-        height, width = picture.shape[:2]
         flip = -1.0 if print_.y_up else 1.0
         # mm of the plane to pixels of the picture, whose pixel centres are integers.
         to_pixels = np.array(
@@ -70,13 +71,12 @@ class Projector:
         matrix = to_pixels @ np.linalg.inv(self._homography(print_.T_base_print))
         at = cv2.perspectiveTransform(self._finer(region, _OVERSAMPLE), matrix)
         size = (region[2] - region[0], region[3] - region[1])
-        seen = cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.remap(picture, at, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         x, y = at[..., 0], at[..., 1]
         # The paper's edge lies half a pixel beyond the centres of its outermost pixels.
         right = print_.picture.shape[1] * print_.pixel_mm / pixel - 0.5
         low = print_.picture.shape[0] * print_.pixel_mm / pixel - 0.5
         inside = ((x > -0.5) & (x < right) & (y > -0.5) & (y < low)).astype(np.uint8) * 255
-        del height, width
         seen = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
         mask = cv2.resize(inside, size, interpolation=cv2.INTER_AREA)
         gain = (print_.paper - print_.ink) / 255.0
@@ -89,6 +89,11 @@ class Projector:
         """Plane (x, y, 1) to camera directions."""
         T = np.linalg.inv(self.lens.T_base_camera) @ T_base_plane
         return np.asarray(T[:3, [0, 1, 3]])
+
+    def looks_down(self, region: Region, oversample: int) -> NDArray[np.bool_]:
+        """Which rays of a region go down, and so meet the table's plane in front of the camera."""
+        towards = self.lens.T_base_camera[2].astype(np.float32)
+        return np.asarray(self._finer(region, oversample) @ towards[:2] + towards[2] < 0.0)
 
     def _finer(self, region: Region, oversample: int) -> NDArray[np.float32]:
         x0, y0, x1, y1 = region

@@ -176,7 +176,7 @@ def _kind(
     ring = outline(shape, grip)
     spread = imperfections.mass_tolerance
     mass = DENSITY * area(ring) * heights[shape] * (1.0 + float(random.uniform(-spread, spread)))
-    friction = float(random.uniform(*imperfections.friction))
+    friction = float(random.uniform(imperfections.friction[0], imperfections.friction[1]))
     return shape, colour, grip, ring, mass, friction
 
 

@@ -104,8 +104,8 @@ def can_reach(arm: ArmDescription, x: float, y: float) -> bool:
         return False
     for bend in (math.acos(cosine), -math.acos(cosine)):
         first = math.atan2(-up, out) - math.atan2(b * math.sin(bend), a + b * math.cos(bend))
-        angles = (first - alpha, bend + alpha - beta)
-        angles = (*angles, math.pi / 2.0 - sum(angles))
+        second = bend + alpha - beta
+        angles = (first - alpha, second, math.pi / 2.0 - (first - alpha) - second)
         wrapped = [math.remainder(angle, 2.0 * math.pi) for angle in angles]
         if all(j.limits[0] <= q <= j.limits[1] for j, q in zip((shoulder, elbow, wrist), wrapped, strict=True)):
             return True

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import ArmDescription, Bin
-from sim_backends.arm_shape import LEFT, RIGHT, MarkerMount, arm_solids, link_name
+from sim_backends.arm_shape import BASE, LEFT, RIGHT, MarkerMount, arm_solids, link_name
 from sim_backends.imperfections import Imperfections
 from sim_backends.parts import COLOURS, Part
 from sim_backends.plant import Drive, Shaft
@@ -125,6 +125,7 @@ class World:
             *shape,
             *(part_solid(i, p, COLOURS[p.colour]) for i, p in enumerate(parts)),
         )
+        self._bin_of_solid = [name for name, solids in boxes.items() for _ in solids]
         self._model = mujoco.MjModel.from_xml_string(build(arm, shape, boxes, parts, imperfections))
         self._data = mujoco.MjData(self._model)
         self._steps = 0
@@ -222,6 +223,10 @@ class World:
             self.now(), data.xpos / MM, data.xmat.reshape(-1, 3, 3).copy(), self._aside
         )
 
+    def fixed_groups(self) -> list[str]:
+        """For every solid the bin it belongs to, `base` for the arm's foot, or "" when it can move."""
+        return [*self._bin_of_solid, *(BASE if s.body == BASE else "" for s in self.solids[len(self._bin_of_solid) :])]
+
     def body(self, name: str) -> int:
         """Index of a body in a snapshot; `world` is 0."""
         return int(self._model.body(name).id)
@@ -253,7 +258,7 @@ class World:
         return self._aside
 
     def part_poses(self) -> NDArray[np.float64]:
-        """ndarray of shape (P, 7): position (mm, `base`) and unit quaternion (w, x, y, z) of every part's centre."""
+        """Position (mm, `base`) and unit quaternion (w, x, y, z) of every part's centre, (P, 7)."""
         poses = self._data.qpos[self._part_qpos]
         poses[:, :3] /= MM
         return np.asarray(poses)

@@ -23,7 +23,7 @@ STEP = 0.002
 MM = 1e-3
 
 # Collision classes: what may touch what.
-_PART, _FIXED, _ARM, _BASE = 1, 2, 4, 8
+_PART, _FIXED, _ARM, _BASE, _CRADLE = 1, 2, 4, 8, 16
 
 TABLE_LOW, TABLE_HIGH = (-380.0, -480.0), (560.0, 480.0)  # the table's top in `base`, mm
 TABLE_THICKNESS = 25.0
@@ -33,6 +33,10 @@ HORN = "horn"
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 # The stops lie beyond the described limits, as the horn of a real servo may sit askew.
 _STOP_MARGIN = math.radians(3.0)
+# Without torque an arm leans on itself: on stops this far beyond its rest pose where a limit is near, and with its
+# hand on a pad of the turret.
+_LEAN, _NEAR = math.radians(1.0), math.radians(10.0)
+_PAD = (15.0, 17.0, 8.0)  # mm: along the hand from the last joint, below its axis, radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +127,7 @@ def bin_solids(bins: Sequence[Bin], T_base_table: Array) -> dict[str, tuple[Soli
             # The floor is a little darker than the rims, as the inside of a box is.
             shade = 0.72 if top == t else 1.0
             flat = box((*low, 0.0), (*high, top), body="world", colour=tuple(c * shade for c in colour))  # type: ignore[arg-type]
-            local = flat.vertices + (*bin_.center, 0.0)
+            local = flat.vertices + np.array([*bin_.center, 0.0])
             vertices = local @ T_base_table[:3, :3].T + T_base_table[:3, 3]
             placed.append(Solid("world", vertices, flat.faces, flat.colour, flat.split))
         out[bin_.name] = tuple(placed)
@@ -163,7 +167,8 @@ def build(
     # MuJoCo counts both joints from their references: the servo's 0, the jaw's half opening there.
     coefficients = _numbers((constant - half_opening(arm.gripper, 0.0) * MM, *rest))
     equality = "".join(
-        f'<joint joint1="{finger}" joint2="{HORN}" polycoef="{coefficients}" solref="0.004 1" solimp="0.99 0.999 0.001"/>'
+        f'<joint joint1="{finger}" joint2="{HORN}" polycoef="{coefficients}" solref="0.004 1" '
+        f'solimp="0.99 0.999 0.001"/>'
         for finger in (LEFT, RIGHT)
     )
     actuators = "".join(
@@ -239,11 +244,40 @@ def _fixed(name: str, solids: Sequence[Solid], *, arm: bool = False) -> str:
     return f'<body name="{name}">{geoms}</body>' if arm else geoms
 
 
+def _stops(arm: ArmDescription, index: int) -> tuple[float, float]:
+    """Mechanical stops of a joint, rad."""
+    (low, high), rest = arm.joints[index].limits, arm.rest[index]
+    low = rest - _LEAN if 0.0 <= rest - low < _NEAR else low - _STOP_MARGIN
+    high = rest + _LEAN if 0.0 <= high - rest < _NEAR else high + _STOP_MARGIN
+    return low, high
+
+
+def _cradle(arm: ArmDescription) -> str:
+    """A pad on the turret, under the hand of the arm at rest."""
+    along, below, radius = _PAD
+    place, pitch = np.zeros(2), 0.0
+    for index, joint in enumerate(arm.joints[1:], 1):
+        x, z = joint.offset[0], joint.offset[2]
+        c, s = math.cos(pitch), math.sin(pitch)
+        place += (c * x + s * z, c * z - s * x)
+        if joint.axis == "y":
+            pitch += arm.rest[index]
+    c, s = math.cos(pitch), math.sin(pitch)
+    depth = -(below + radius)
+    x, z = place + (c * along + s * depth, c * depth - s * along)
+    return (
+        f'<geom name="cradle" type="capsule" fromto="{_numbers((x * MM, -0.014, z * MM, x * MM, 0.014, z * MM))}" '
+        f'size="{radius * MM}" contype="{_CRADLE}" conaffinity="0"/>'
+    )
+
+
 def _chain(arm: ArmDescription, solids: Sequence[Solid], imperfections: Imperfections, index: int) -> str:
     joint, link = arm.joints[index], arm.links[index]
     gear = mechanics(joint.model)
     servos = 1 if joint.shadow_id is None else 2
     name = link_name(index)
+    low, high = _stops(arm, index)
+    touches = _PART | _FIXED | (_CRADLE if index + 1 == len(arm.joints) else 0)
     own = [s for s in solids if s.body == name]
     vertices = np.vstack([s.vertices for s in own]) * MM
     finger_mass = 0.016 if index == len(arm.joints) - 1 else 0.0  # kg each; [rx150 URDF] gripper_finger
@@ -253,11 +287,13 @@ def _chain(arm: ArmDescription, solids: Sequence[Solid], imperfections: Imperfec
     inertia = (mass * (b + c), mass * (a + c), mass * (a + b))
     inside = [
         f'<joint name="{joint.name}" type="hinge" axis="{_AXES[joint.axis]}" '
-        f'range="{joint.limits[0] - _STOP_MARGIN:.9g} {joint.limits[1] + _STOP_MARGIN:.9g}" '
+        f'range="{low:.9g} {high:.9g}" '
         f'armature="{gear.inertia * servos}" frictionloss="{gear.friction * servos}" solreflimit="0.008 1"/>',
         f'<inertial pos="{_numbers(np.array(link.center) * MM)}" mass="{mass:.9g}" diaginertia="{_numbers(inertia)}"/>',
-        *(_geom(f"{name}/{i}", s, _ARM, _PART | _FIXED) for i, s in enumerate(own)),
+        *(_geom(f"{name}/{i}", s, _ARM, touches) for i, s in enumerate(own)),
     ]
+    if index == 0:
+        inside.append(_cradle(arm))
     if index + 1 < len(arm.joints):
         inside.append(_chain(arm, solids, imperfections, index + 1))
     else:
@@ -305,5 +341,6 @@ def _part(index: int, part: Part) -> tuple[str, list[str]]:
     return (
         f'<body name="{name}" pos="{part.x * MM:.9g} {part.y * MM:.9g} {half:.9g}" euler="0 0 {part.yaw:.9g}">'
         f'<freejoint name="{name}"/><geom name="{name}" {geom} mass="{part.mass:.9g}" priority="1" '
-        f'friction="{part.friction:.9g} 0.005 0.0001" contype="{_PART}" conaffinity="{_PART | _FIXED | _ARM | _BASE}"/></body>'
+        f'friction="{part.friction:.9g} 0.005 0.0001" contype="{_PART}" '
+        f'conaffinity="{_PART | _FIXED | _ARM | _BASE}"/></body>'
     ), mesh
