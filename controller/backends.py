@@ -10,8 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Observer
@@ -20,6 +22,9 @@ from controller.errors import InputError
 from controller.geometry import CameraModel
 from controller.insight.statistics import Truth
 from controller.ports import Arm, Camera, Clock, Presenter
+
+if TYPE_CHECKING:
+    from sim_backends.cell_spec import CellSpec
 
 
 class Mode(StrEnum):
@@ -66,6 +71,8 @@ class Devices:
     Attributes:
         presenter: Hands that show calibration boards, where somebody has them.
         truth: The simulated world's truth, where there is one.
+        clear_table, lay_parts: Take all parts off the table and put them back, where the table is simulated.
+        portrait: A picture of the whole cell for people, where there is one.
         observers: Watchers a set needs for itself.
         closers: Called in reverse order by `close`.
     """
@@ -75,6 +82,9 @@ class Devices:
     clock: Clock
     presenter: Presenter | None = None
     truth: Truth | None = None
+    clear_table: Callable[[], None] = lambda: None
+    lay_parts: Callable[[], None] = lambda: None
+    portrait: Callable[[], NDArray[np.uint8]] | None = None
     observers: tuple[Observer, ...] = ()
     closers: list[Callable[[], None]] = field(default_factory=list)
 
@@ -165,12 +175,57 @@ class _ImaginedPart(Observer):
 def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
     """The physics cell: the unmodified driver on virtual servos, painted pictures, simulated time."""
     try:
-        from sim_backends.cell import CellSpec
+        from sim_backends.cell import SimulatedCell
     except ImportError as error:
         raise InputError(
             f"the simulation cannot start: {error}", "install its extra: pip install 'sorting-controller[sim]'"
         ) from error
-    raise NotImplementedError
+    from drivers.arm.dynamixel import DynamixelArm
+    from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
+
+    spec = _cell_spec(config, arm, options)
+    cell = SimulatedCell(spec)
+    servos = [ServoSpec(*servo) for servo in cell.bus_servos]
+    bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
+    return Devices(
+        cell.camera,
+        DynamixelArm(arm, BusStream(bus), cell.clock),
+        cell.clock,
+        presenter=cell.presenter,
+        truth=Truth(cell.truth, cell.truth_at, lambda: len(cell.collisions)),
+        clear_table=cell.set_aside,
+        lay_parts=cell.scatter,
+        portrait=cell.overview,
+    )
+
+
+def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> CellSpec:
+    from sim_backends.cell_spec import CellSpec
+    from sim_backends.parts import WorkArea
+
+    area = config.table.work_area
+    T_base_table = config.table.T_base_table()
+    _, T_table_camera = nominal_camera(config)
+    return CellSpec(
+        arm=arm,
+        bins=config.bin_values(),
+        T_base_table=_rows(T_base_table),
+        T_base_camera=_rows(T_base_table @ T_table_camera),
+        image_size=(config.camera.width, config.camera.height),
+        field_of_view=math.radians(config.camera.field_of_view_deg),
+        parts=options.parts,
+        seed=options.seed,
+        level=str(options.level),
+        heights={part.shape: part.height_mm for part in config.parts},
+        work_area=WorkArea(
+            radius=(area.inner_radius_mm, area.outer_radius_mm),
+            azimuth=(math.radians(area.azimuth_deg[0]), math.radians(area.azimuth_deg[1])),
+        ),
+    )
+
+
+def _rows(pose: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in pose)
 
 
 DEVICES: Mapping[Mode, Factory] = {Mode.REAL: real_devices, Mode.SIM: sim_devices, Mode.REPLAY: replay_devices}

@@ -12,10 +12,10 @@ from controller.errors import SorterError
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program and exit with the contract's code."""
-    sys.exit(run(arguments))
+    sys.exit(execute(arguments))
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
+def execute(arguments: Sequence[str] | None = None) -> int:
     """Run the program and return its exit code: 0, 1 failed, 2 usage, 75 busy, 78 configuration, 130 Ctrl-C."""
     from controller.cli.app import app
 

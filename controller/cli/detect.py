@@ -135,7 +135,11 @@ def _table(result: dict[str, Any]) -> None:
     title = f"{result['image']}: {len(objects)} object{'' if len(objects) == 1 else 's'}"
     metric = any("center_mm" in item for item in objects)
     columns = ["shape", "score", "centre px", "angle deg", "size px", "flags"]
-    grid = Table(title=f"{title}, {result['timing_ms']['total']:.1f} ms", title_justify="left", box=None)
+    console = Console()
+    console.print(f"{title}, {result['timing_ms']['total']:.1f} ms", soft_wrap=True)
+    if not objects:
+        return
+    grid = Table(box=None)
     for column in columns[:-1] + (["centre mm", "size mm"] if metric else []) + columns[-1:]:
         grid.add_column(column)
     for item in objects:
@@ -150,7 +154,7 @@ def _table(result: dict[str, Any]) -> None:
         if metric:
             row += [_pair(item.get("center_mm"), 2), _pair(item.get("size_mm"), 2)]
         grid.add_row(*row, ", ".join(item["flags"]))
-    Console().print(grid)
+    console.print(grid)
 
 
 def _pair(values: list[float] | None, digits: int) -> str:

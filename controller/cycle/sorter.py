@@ -323,7 +323,7 @@ class Sorter:
     def _latch(self, error: SorterError) -> str:
         if self.fault is None:
             self.fault = error
-            self._try_note("fault", reason=str(error), kind=type(error).__name__)
+            self._try_note("fault", reason=str(error), code=type(error).__name__)
             for observer in self.rig.observers:
                 observer.faulted(error, self.rig.clock.now())
         return "faulted"

@@ -111,14 +111,13 @@ class Session:
             )
             if not self._started():
                 return {}
-            ledger.note(
-                "start",
-                devices.clock.now(),
+            ledger.begin_run(
+                software_version=__version__,
+                config_hash=self._config.digest,
+                calibration_id=calibration.calibration_id,
                 mode=str(self.options.mode),
-                config=self._config.digest,
-                calibration=calibration.calibration_id,
-                software=__version__,
-                seed=self.options.seed,
+                arm=arm.name,
+                seed=self.options.seed if self.options.mode is Mode.SIM else None,
             )
             most = self.options.parts if self.options.mode is Mode.REAL else None
             self._sorter = Sorter(rig, until_empty=self.options.mode is not Mode.REAL, most_parts=most)
@@ -127,7 +126,7 @@ class Session:
             began, began_wall = devices.clock.now(), monotonic()
             self._sorter.run()
             last = self._last_look(rig, looks)
-            ledger.note("stop", devices.clock.now(), fault=str(self._sorter.fault or ""))
+            ledger.end_run(f"fault: {self._sorter.fault}" if self._sorter.fault else "stopped")
             report = self._head(arm) | statistics.summary(last, self._sorter.cycle_times)
             report |= {
                 "calibration_s": round(calibration_s, 3),
@@ -174,7 +173,9 @@ class Session:
         if devices.presenter is not None:
             self.options.say("calibrating the cell by showing it boards")
             began = devices.clock.now()
-            made = calibrate_cell(devices, arm, self._config, self._by_ruler(), folder / "calibration")
+            devices.clear_table()
+            made = calibrate_cell(devices, self._config, folder / "calibration", self.options.say)
+            devices.lay_parts()
             return made, devices.clock.now() - began
         if self.options.mode is Mode.REPLAY:
             self.options.say("warning: no --calibration: positions are by ruler and data sheet, good to centimetres")
