@@ -4,8 +4,8 @@
 
 The servo bus is a pseudo-terminal, everything else (pictures, hands, truth, faults) a Unix socket. One JSON line
 with both paths is printed when they can be opened. The process ends on SIGTERM, when asked to, or when no
-client has been there for a while. One thread owns the physics; pictures are painted in the client's thread
-from a copy of the scene.
+client has been there for a while. One thread owns the physics and the bus; pictures are painted by a second
+process from copies of the scene.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import json
 import math
 import os
+import pickle
 import shutil
 import signal
 import socket
@@ -21,11 +22,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,7 +41,7 @@ from sim_backends.virtual_dynamixel.bench import IdealPlant
 from sim_backends.virtual_dynamixel.pty import PtyBus
 
 SWITCH_INTERVAL = 0.0005
-"""s until a painting thread lets the bus's thread run, which has to answer within a millisecond or so."""
+"""s until another thread lets the bus's thread run, which has to answer within a millisecond or so."""
 LOOK = 0.2
 """s between two looks at the reasons to end."""
 
@@ -112,7 +114,9 @@ class ServedCell(Protocol):
 
 
 class PhysicsCell:
-    """A whole simulated cell behind `ServedCell`.
+    """A whole simulated cell behind `ServedCell`; its pictures are painted in a process of their own.
+
+    Painting takes tens of milliseconds of Python, which would hold up the bus's thread however they share it.
 
     Args:
         text: Its specification, as `CellSpec.to_json` writes it.
@@ -131,19 +135,58 @@ class PhysicsCell:
         self.truth_at = self._cell.truth_at
         self.set_aside = self._cell.set_aside
         self.scatter = self._cell.scatter
+        self._easel = _fork(self._paint_for_others)
 
     def expose(self) -> Any:
-        """The poses of all bodies; the truth is kept for this moment."""
-        self._cell.world.remember()
-        return self._cell.world.snapshot()
+        """The poses of all bodies and the prints shown; the truth is kept for this moment."""
+        world, hands = self._cell.world, self._cell.presenter
+        world.remember()
+        return world.snapshot(), hands.sheet, hands.board
 
     def paint(self, shot: Any) -> NDArray[np.uint8]:
         """The picture, (H, W, 3)."""
-        return self._cell._paint(shot)
+        try:
+            send(self._easel, {}, pickle.dumps(shot))
+            header, body = receive(self._easel)
+        except OSError as error:
+            raise CameraLost("camera", "capture", f"the painter has died ({error})", "start again") from error
+        return np.frombuffer(body, np.uint8).reshape(header["shape"])
+
+    def _paint_for_others(self, easel: socket.socket) -> None:
+        """The painter's whole life: it ends with the process it paints for."""
+        os.nice(5)
+        hands = self._cell.presenter
+        while True:
+            try:
+                _, shot = receive(easel)
+            except OSError:
+                return
+            snapshot, hands.sheet, hands.board = pickle.loads(shot)
+            image = np.ascontiguousarray(self._cell._paint(snapshot))
+            send(easel, {"shape": list(image.shape)}, image.data.cast("B"))
 
     def collisions(self) -> int:
         """Touches so far."""
         return len(self._cell.collisions)
+
+
+def _fork(live: Callable[[socket.socket], None]) -> socket.socket:
+    """Start a process that runs `live` on one end of a pair of sockets; the other end.
+
+    To be called while there is one thread only.
+    """
+    ours, theirs = socket.socketpair()
+    if os.fork() == 0:
+        code = 1
+        try:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            ours.close()
+            live(theirs)
+            code = 0
+        finally:
+            os._exit(code)
+    theirs.close()
+    return ours
 
 
 class Bench:
@@ -384,6 +427,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--spec", type=Path, required=True, help="ServerSpec as JSON")
     spec = ServerSpec.from_json(parser.parse_args(arguments).spec.read_text())
     sys.setswitchinterval(SWITCH_INTERVAL)
+    cv2.setNumThreads(1)  # a pool of threads would not survive the fork of the painter
     folder = Path(tempfile.mkdtemp(prefix="simulated-cell-"))
     try:
         server = CellServer(build(spec), spec, folder)

@@ -199,6 +199,10 @@ class VirtualBus:
             begin = end
         return replies
 
+    def clear_line(self) -> None:
+        """Forget what is on the wire: the plant's time has been set anew."""
+        self._host_free = self._line_free = -math.inf
+
     def _obey(self, packet: Packet, end: float) -> Replies:
         if self.faults.active:
             lost, befalls = self.faults.on_instruction(self.servo_ids)

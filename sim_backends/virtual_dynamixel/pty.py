@@ -157,13 +157,16 @@ class PtyBus:
     def _run(self) -> None:
         while not self._stopping.is_set():
             readable = self._wait()
-            self._follow(time.monotonic())
+            wall = time.monotonic()
+            # First what is due and what has come, then physics: it may take as long as the bytes are on the wire.
+            self._deliver(wall)
+            heard = self._hear() if self._master in readable else b""
+            self._follow(wall)
+            if heard:
+                self._answer(heard, wall)
             if self._wake_out in readable:
                 os.read(self._wake_out, 4096)
                 self._work()
-            if self._master in readable:
-                self._hear()
-            self._deliver()
             if self.bus.connected != (self._master >= 0):
                 if self.bus.connected:
                     self._plug()
@@ -172,10 +175,10 @@ class PtyBus:
 
     def _wait(self) -> list[int]:
         """Sleep until bytes or a job arrive, an answer is due, or a tick has passed."""
-        due = self._time + TICK
+        due = self._time + self._offset + TICK
         if self._replies:
             due = min(due, self._replies[0][0])
-        timeout = max(0.0, due + self._offset - time.monotonic())
+        timeout = max(0.0, due - time.monotonic())
         watched = [self._wake_out] if self._master < 0 else [self._master, self._wake_out]
         return select.select(watched, [], [], timeout)[0]
 
@@ -186,6 +189,7 @@ class PtyBus:
         if behind > GIVE_UP:
             self._offset += behind
             self.slipped += behind
+            self.bus.clear_line()
             return
         if behind > 0.0:
             behind = min(behind, LONGEST_STEP)
@@ -200,22 +204,24 @@ class PtyBus:
                 return
             job()
 
-    def _hear(self) -> None:
+    def _hear(self) -> bytes:
         try:
             data = os.read(self._master, 4096)
         except OSError:
-            return
+            return b""
         self.last_heard = time.monotonic()
         rate = _BAUD.get(termios.tcgetattr(self._slave)[5])
         if rate is not None:
             self.bus.host_baud = rate
-        for arrival, packet in self.bus.handle(data, self._time):
-            heapq.heappush(self._replies, (arrival, self._count, packet))
+        return data
+
+    def _answer(self, data: bytes, wall: float) -> None:
+        for arrival, packet in self.bus.handle(data, wall - self._offset):
+            heapq.heappush(self._replies, (arrival + self._offset, self._count, packet))
             self._count += 1
 
-    def _deliver(self) -> None:
-        now = time.monotonic() - self._offset
-        while self._replies and self._replies[0][0] <= now:
+    def _deliver(self, wall: float) -> None:
+        while self._replies and self._replies[0][0] <= wall:
             data = heapq.heappop(self._replies)[2]
             if self._master >= 0:
                 try:
