@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Frame
-from controller.geometry import CameraModel, PlaneMap, invert
+from controller.geometry import CameraModel, invert
 
 Array = NDArray[np.float64]
 
@@ -30,15 +30,32 @@ def paint(
 ) -> NDArray[np.uint8]:
     """Picture (H, W) of a print on a gray ground, `samples`^2 rays a pixel averaged."""
     width, height = camera.image_size
-    u = (np.arange(width * samples) + 0.5) / samples - 0.5
-    v = (np.arange(height * samples) + 0.5) / samples - 0.5
-    pixels = np.column_stack([np.tile(u, len(v)), np.repeat(v, len(u))])
-    flat = PlaneMap(camera, invert(T_camera_board)).to_plane(pixels)
+    # The plane through the board: normal . ray * depth = normal . origin.
+    T = T_camera_board
+    rays = _rays(camera, samples)
+    depth = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2].astype(np.float32))
+    flat = (rays * depth[:, None] - T[:3, 3].astype(np.float32)) @ T[:3, :2].astype(np.float32)
     where = flat / pixel_mm + (np.array(print_.shape[::-1]) - 1) / 2
-    maps = np.nan_to_num(where, nan=-1e6).astype(np.float32).reshape(len(v), len(u), 2)
+    maps = where.astype(np.float32).reshape(height * samples, width * samples, 2)
     fine = cv2.remap(print_, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=(128.0,))
     coarse = fine.reshape(height, samples, width, samples).mean(axis=(1, 3), dtype=np.float32)
     return np.asarray(np.rint(coarse), np.uint8)
+
+
+def _rays(camera: CameraModel, samples: int) -> NDArray[np.float32]:
+    key = (camera.matrix.tobytes(), camera.distortion.tobytes(), samples)
+    if key not in _RAYS:
+        width, height = camera.image_size
+        u = (np.arange(width * samples) + 0.5) / samples - 0.5
+        v = (np.arange(height * samples) + 0.5) / samples - 0.5
+        rays = camera.rays(np.column_stack([np.tile(u, len(v)), np.repeat(v, len(u))]))
+        _RAYS.clear()
+        _RAYS[key] = rays.astype(np.float32)
+    return _RAYS[key]
+
+
+#: The rays of the camera painted last: undoing the lens is most of the work.
+_RAYS: dict[tuple[bytes, bytes, int], NDArray[np.float32]] = {}
 
 
 class Studio:
