@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -45,8 +44,18 @@ class _Model:
     inertia: Array
 
 
-@lru_cache(maxsize=32)
+# By identity, as for the kinematics.
+_MODELS: dict[int, tuple[ArmDescription, _Model]] = {}
+
+
 def _model(arm: ArmDescription) -> _Model:
+    known = _MODELS.get(id(arm))
+    if known is None:
+        known = _MODELS[id(arm)] = (arm, _build(arm))
+    return known[1]
+
+
+def _build(arm: ArmDescription) -> _Model:
     joints, links = arm.joints, arm.links
     # What the roll joint carries sits on its axis as far as the plane is concerned.
     shift = [0.0, 0.0, 0.0, 0.0] + [joint.offset[0] for joint in joints[4:]]

@@ -14,7 +14,7 @@ import numpy as np
 from controller.domain import ArmDescription, Array, Bin, PickPlan, Trajectory
 from controller.errors import LimitViolation
 from controller.geometry import invert, transform
-from controller.motion.kinematics import chain, forward, points
+from controller.motion.kinematics import chain, points, rotation
 
 # Sampling and the moving average may leave a joint this far over its planned limits; the limits themselves
 # are chosen with more in hand.
@@ -22,8 +22,10 @@ SPEED_SLACK = 1.02
 ACCELERATION_SLACK = 1.08
 TOOL_SPEED = 1500.0  # mm/s
 TABLE_MARGIN = 1.0  # mm that the jaw tips keep from the table
+CAMERA_ROOM = 120.0  # mm between the arm's middle line and the lens
 BODY_MARGIN = 30.0  # mm that elbow and wrist keep from the table
 COLUMN = (60.0, 15.0)  # mm: radius kept clear about the waist, and how far over the shoulder it reaches
+WORK_REACH = 0.8  # share of its full stretch that an arm needs to work top-down
 WALL_MARGIN = 2.0  # mm between jaws and bin walls
 WALL = 4.0  # mm: thickness of a bin wall at most
 START_TOLERANCE = 0.1  # rad between measured pose and first sample
@@ -39,14 +41,14 @@ class Gate:
         T_base_table: ndarray of shape (4, 4), mm.
         bins: Boxes whose walls the jaws must not touch.
         radius: The grasp point stays within this distance of the waist axis, mm.
-        ceiling: The grasp point stays below this height in `base`, mm.
+        eye: ndarray of shape (3,): where the camera hangs in `base`, mm; None when that is not known.
     """
 
     arm: ArmDescription
     T_base_table: Array
     bins: tuple[Bin, ...]
     radius: float
-    ceiling: float
+    eye: Array | None = None
 
     def check_plan(self, plan: PickPlan, start: Array) -> None:
         """Approve a whole pick before its first move.
@@ -82,7 +84,7 @@ class Gate:
         speeds = np.linalg.norm(np.diff(body[:, 3], axis=0), axis=1) / trajectory.period
         if len(speeds) and speeds.max() > TOOL_SPEED:
             raise _violation(name, "tool speed", float(speeds.max()), TOOL_SPEED, "mm/s")
-        self._jaws(name, q, opening if opening is not None else self.arm.gripper.opening[1])
+        self._jaws(name, q, body[:, 3], opening if opening is not None else self.arm.gripper.opening[1])
 
     def _numbers(self, trajectory: Trajectory, start: Array) -> None:
         name, q, goals = trajectory.name, trajectory.positions, trajectory.goals
@@ -122,16 +124,17 @@ class Gate:
         tool = body[:, 3]
         radius = np.hypot(tool[:, 0] - c.axis[0], tool[:, 1])
         # An arm found outside the workspace may come back by any way; one inside stays inside.
-        outside = radius[0] > self.radius or tool[0, 2] > self.ceiling
-        judged = slice(-1, None) if outside else slice(None)
-        if (far := float(radius[judged].max())) > self.radius:
+        judged = radius if radius[0] <= self.radius else radius[-1:]
+        if (far := float(judged.max())) > self.radius:
             raise _violation(name, "distance of the tool from the waist", far, self.radius, "mm")
-        if (high := float(tool[judged, 2].max())) > self.ceiling:
-            raise _violation(name, "height of the tool", high, self.ceiling, "mm")
         share = np.linspace(0.0, 1.0, 6)[:, None]
         hand = body[:, None, 2] + (body[:, None, 3] - body[:, None, 2]) * share
         fore = body[:, None, 1] + (body[:, None, 2] - body[:, None, 1]) * share
         arm = np.concatenate([fore, hand], axis=1)
+        if self.eye is not None:
+            gap = np.linalg.norm(arm - self.eye, axis=2).min(axis=1)
+            if gap.min() < min(CAMERA_ROOM, float(gap[0])) - 1e-6:
+                raise _violation(name, "distance from the camera", float(gap.min()), CAMERA_ROOM, "mm")
         near = np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
         inside = (arm[..., 2] < c.axis[1] + COLUMN[1]) & (near < COLUMN[0])
         depth = np.where(inside, COLUMN[0] - near, 0.0).max(axis=1)
@@ -139,15 +142,21 @@ class Gate:
             value = COLUMN[0] - float(depth.max())
             raise _violation(name, "distance from the arm's own column", value, COLUMN[0], "mm")
 
-    def _jaws(self, name: str, q: Array, opening: float) -> None:
+    def _jaws(self, name: str, q: Array, tool: Array, opening: float) -> None:
         """Jaw tips against the table and the walls of the bins."""
         gripper = self.arm.gripper
-        pose = forward(self.arm, q)
         along = opening / 2.0 + gripper.jaw_size[0]
         across = gripper.jaw_size[1] / 2.0
+        walls = max([TABLE_MARGIN, *(bin_.height + WALL_MARGIN for bin_ in self.bins)])
+        # From the first sample to the last that may be low; the rest is far above everything.
+        low_enough = tool[:, 2] - self.T_base_table[2, 3] < walls + math.hypot(gripper.jaw_depth, along, across)
+        if not low_enough.any():
+            return
+        part = slice(int(np.argmax(low_enough)), len(q) - int(np.argmax(low_enough[::-1])))
+        q, tool = q[part], tool[part]
         tip = np.array([gripper.jaw_depth, 0.0, 0.0])
         corners = tip + np.array([[0.0, a, b] for a in (-along, along) for b in (-across, across)])
-        way = np.einsum("nij,kj->nki", pose[:, :3, :3], corners) + pose[:, None, :3, 3]
+        way = corners @ rotation(q).transpose(0, 2, 1) + tool[:, None]
         way = transform(invert(self.T_base_table), way)
         height = way[..., 2].min(axis=1)
         if height.min() < min(TABLE_MARGIN, float(height[0])) - 1e-6:
@@ -177,8 +186,8 @@ def _beside(quads: Array, half: Array) -> Array:
     return out
 
 
-def workspace(bins: Sequence[Bin], T_base_table: Array, arm: ArmDescription) -> tuple[float, float]:
-    """Radius about the waist axis and height (mm) that the arm's work asks for: what lies beyond is forbidden."""
+def workspace(bins: Sequence[Bin], T_base_table: Array, arm: ArmDescription) -> float:
+    """Radius about the waist axis (mm) that the arm's work asks for: what lies beyond is forbidden."""
     c = chain(arm)
     reach = c.start + c.upper[0] + c.fore[0] + c.hand
     corners = [
@@ -188,7 +197,7 @@ def workspace(bins: Sequence[Bin], T_base_table: Array, arm: ArmDescription) -> 
         for sy in (-1, 1)
     ]
     far = max((float(np.hypot(p[0], p[1])) for p in corners), default=0.0)
-    return max(far, reach * 0.8), c.axis[1] + c.upper[0] + c.fore[0]
+    return max(far, WORK_REACH * reach)
 
 
 def _violation(name: str, what: str, value: float, limit: float, unit: str = "deg") -> LimitViolation:

@@ -6,6 +6,7 @@ How fast it is travelled is decided elsewhere.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,11 +16,12 @@ from scipy.interpolate import CubicSpline
 
 from controller.domain import ArmDescription, Array
 from controller.errors import Unreachable
-from controller.motion.kinematics import branches, chain, points
+from controller.motion.kinematics import branches, chain, points, solutions
 
 # Knots every 12 ms of full speed: the spline between them leaves a vertical stroke by less than 1 um.
 KNOT_SPACING = 0.012
-_STROKE_STEP = 2.0  # mm between the exact solutions a vertical stroke is made of
+_STROKE_STEP = 5.0  # mm between the points of a vertical stroke that are checked against the reach
+_DIFFERENCE = 1e-4  # share of a stroke
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +29,39 @@ class Leg:
     """One piece of a path over its own parameter in [0, 1].
 
     Attributes:
-        curve: Maps ndarray (N,) of the parameter and an order of derivative to ndarray (N, J), rad.
+        curve: Maps parameters (N,) to joint angles (N, J), rad.
+        bends: Whether the curve is not straight in joint space.
         length: Length at full joint speed, s.
+        travel: Two ndarrays of the same shape: parameters, and how far the grasp point has come there, mm.
     """
 
-    curve: Callable[[Array, int], Array]
+    curve: Callable[[Array], Array]
+    bends: bool
     length: float
+    travel: tuple[Array, Array]
+
+    @property
+    def start(self) -> Array:
+        """Joint angles at its start: ndarray of shape (J,), rad."""
+        return np.asarray(self.curve(np.zeros(1))[0])
+
+    @property
+    def end(self) -> Array:
+        """Joint angles at its end: ndarray of shape (J,), rad."""
+        return np.asarray(self.curve(np.ones(1))[0])
+
+    def reversed(self) -> Leg:
+        """The same way back."""
+        t, way = self.travel
+        curve = self.curve
+        return Leg(lambda t: curve(1.0 - t), self.bends, self.length, (1.0 - t[::-1], way[-1] - way[::-1]))
+
+    def frame(self, at: float) -> tuple[Array, Array, Array]:
+        """Joint angles and their first and second derivative by the parameter, each (J,)."""
+        before, here, after = self.curve(np.array([at - _DIFFERENCE, at, at + _DIFFERENCE]))
+        # Exact solutions a hair apart: good to 1e-14, so is their second difference to 1e-6.
+        second = (after - 2.0 * here + before) / _DIFFERENCE**2 if self.bends else 0.0 * here
+        return here, (after - before) / (2.0 * _DIFFERENCE), second
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,67 +88,64 @@ def line(arm: ArmDescription, start: Array, end: Array) -> Leg:
     """The straight line in joint space."""
     delta = end - start
 
-    def curve(t: Array, order: int) -> Array:
-        if order == 0:
-            return start + np.multiply.outer(t, delta)
-        return np.broadcast_to(delta if order == 1 else 0.0 * delta, (len(t), len(delta)))
+    def curve(t: Array) -> Array:
+        return np.asarray(start + t[:, None] * delta)
 
-    return Leg(curve, float(np.linalg.norm(delta / speed_limits(arm))))
+    t = np.linspace(0.0, 1.0, 17)
+    way = points(arm, curve(t))[:, 3]
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    return Leg(curve, False, float(np.linalg.norm(delta / speed_limits(arm))), (t, travel))
 
 
-def stroke(arm: ArmDescription, position: Sequence[float], posture: Array, rise: float) -> Leg:
-    """The straight vertical line of the grasp point, the tool's direction kept.
+def stroke(arm: ArmDescription, posture: Array, rise: float) -> Leg:
+    """The straight vertical line of the grasp point, the tool's direction and the branch kept.
 
     Args:
         arm: The arm.
-        position: (x, y, z) in `base` where the stroke starts, mm.
-        posture: Joint angles there; the branch is kept.
+        posture: Joint angles where it starts, rad.
         rise: How far up (negative: down), mm.
 
     Raises:
         Unreachable: Some point of it is out of reach.
     """
-    count = max(int(abs(rise) / _STROKE_STEP) + 1, 6)
-    heights = np.linspace(0.0, rise, count)
-    way = np.empty((count, 3))
-    way[:] = position
-    way[:, 2] += heights
-    q, allowed = follow_branch(arm, way, posture)
+    start = points(arm, posture)[3]
+    pitch, roll, branch = branch_of(arm, posture)
+
+    def solve(t: Array) -> tuple[Array, NDArray[np.bool_]]:
+        way = np.repeat(start[None], len(t), axis=0)
+        way[:, 2] += t * rise
+        q, allowed = branches(arm, way, pitch, roll)
+        return q[:, branch], allowed[:, branch]
+
+    t = np.linspace(0.0, 1.0, max(int(abs(rise) / _STROKE_STEP) + 1, 2))
+    q, allowed = solve(t)
     if not allowed.all():
-        where = way[int(np.argmin(allowed)), 2]
+        where = start[2] + rise * t[int(np.argmin(allowed))]
         raise Unreachable(
-            f"the vertical stroke at ({position[0]:.0f}, {position[1]:.0f}) mm leaves the reach at {where:.0f} mm",
+            f"the vertical stroke at ({start[0]:.0f}, {start[1]:.0f}) mm leaves the reach at {where:.0f} mm",
             "move the part or the bin nearer",
         )
-    spline = CubicSpline(np.linspace(0.0, 1.0, count), q)
-    travel = np.linalg.norm(np.diff(q, axis=0) / speed_limits(arm), axis=1).sum()
-    return Leg(lambda t, order: np.asarray(spline(t, order)), float(travel))
+    length = float(np.linalg.norm(np.diff(q, axis=0) / speed_limits(arm), axis=1).sum())
+    return Leg(lambda t: solve(t)[0], True, length, (np.array([0.0, 1.0]), np.array([0.0, abs(rise)])))
 
 
-def follow_branch(arm: ArmDescription, way: Array, posture: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Joint angles along a way, in the branch of a posture: ndarray (N, J), rad, and (N,) of allowed ones.
+def branch_of(arm: ArmDescription, posture: Array) -> tuple[float, float, int]:
+    """Pitch and roll of the tool (rad) and the index of the branch that gives this posture back.
 
-    The waist and the wrist's roll stay as they are in `posture` where the branches differ by whole turns.
+    Raises:
+        Unreachable: No branch does: the waist stands where the grasp point has no direction.
     """
+    place = points(arm, posture)[3]
+    azimuth = math.atan2(place[1], place[0] - chain(arm).axis[0])
+    facing = math.cos(posture[0] - azimuth) > 0.0
     below = float(posture[1:4].sum())
-    facing = np.cos(posture[0] - np.arctan2(way[0, 1], way[0, 0] - chain(arm).axis[0])) > 0.0
-    pitch = below if facing else np.pi - below
+    pitch = below if facing else math.pi - below
     roll = float(posture[4]) if len(posture) > 4 else 0.0
-    q, allowed = branches(arm, way, pitch, roll if facing else roll + np.pi)
-    near = np.abs(q[0] - posture)
-    near = np.minimum(near, 2.0 * np.pi - near).max(axis=-1)
-    if not np.isfinite(near).any():
-        return q[:, 0], np.zeros(len(way), bool)
-    best = int(np.nanargmin(near))
-    return q[:, best], allowed[:, best]
-
-
-def tool_travel(arm: ArmDescription, leg: Leg, count: int = 33) -> tuple[Array, Array]:
-    """Parameters (count,) of a leg and how far the grasp point has come there (count,), mm."""
-    t = np.linspace(0.0, 1.0, count)
-    way = points(arm, leg.curve(t, 0))[:, 3]
-    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
-    return t, np.concatenate([[0.0], np.cumsum(steps)])
+    roll = roll if facing else roll + math.pi
+    for branch, q in solutions(arm, place, pitch, roll, within=False):
+        if np.abs(q - posture).max() < 1e-6:
+            return pitch, roll, branch
+    raise Unreachable("the arm stands folded so that its tool cannot be moved straight up", "move it by hand")
 
 
 def join(arm: ArmDescription, legs: Sequence[Leg], corners: Sequence[tuple[float, float]]) -> Path:
@@ -137,7 +163,7 @@ def join(arm: ArmDescription, legs: Sequence[Leg], corners: Sequence[tuple[float
     for k, leg in enumerate(legs):
         before = corners[k - 1][1] if k > 0 else 0.0
         after = corners[k][0] if k < len(legs) - 1 else 0.0
-        t, travel = tool_travel(arm, leg)
+        t, travel = leg.travel
         total = travel[-1]
         room = total / 2.0 if before > 0.0 and after > 0.0 else total
         if total > 0.0:
@@ -156,7 +182,7 @@ def join(arm: ArmDescription, legs: Sequence[Leg], corners: Sequence[tuple[float
         low, high = cuts[k]
         count = max(int(leg.length * (high - low) / KNOT_SPACING) + 2, 3)
         marks.append(total_count)
-        add(leg.curve(np.linspace(low, high, count), 0))
+        add(leg.curve(np.linspace(low, high, count)))
         marks.append(total_count - 1)
         if k + 1 < len(legs):
             add(_corner(leg, high, legs[k + 1], cuts[k + 1, 0], speeds))
@@ -191,8 +217,7 @@ def _corner(first: Leg, at: float, second: Leg, then: float, speeds: Array) -> A
 
 def _frame(leg: Leg, at: float, speeds: Array) -> tuple[Array, Array, Array]:
     """Point, unit tangent and curvature of a leg, in units of joint angle over phase."""
-    t = np.array([at])
-    q, first, second = (leg.curve(t, order)[0] for order in range(3))
+    q, first, second = leg.frame(at)
     scale = float(np.linalg.norm(first / speeds))
     if scale < 1e-12:
         return q, np.zeros_like(q), np.zeros_like(q)

@@ -25,13 +25,13 @@ from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps
 from controller.motion.gate import WALL_MARGIN, Gate, workspace
 from controller.motion.kinematics import (
-    branches,
+    TOP_DOWN,
     chain,
     closing_direction,
-    forward,
     inverse,
     points,
     roll_for,
+    solutions,
 )
 from controller.motion.path import Leg, join, line, speed_limits, stroke
 from controller.motion.trajectory import generate
@@ -51,7 +51,7 @@ _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stop:
-    """A low pose and the pose straight above it, with the stroke's height."""
+    """A low pose, the pose straight above it, and the stroke's height."""
 
     low: Array
     high: Array
@@ -86,8 +86,8 @@ class Planner:
         self._offsets = dynamics.joint_offsets(arm, calibration.joint_offsets)
         self._T = np.asarray(calibration.T_base_table, np.float64)
         self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
-        radius, ceiling = workspace(self.bins, self._T, arm)
-        self.gate = Gate(arm, self._T, self.bins, radius, ceiling)
+        self._eye = transform(self._T, np.asarray(calibration.T_table_camera, np.float64)[:3, 3])
+        self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
         highest = max([TALLEST_PART, *(bin_.height for bin_ in self.bins)])
         # Height of the grasp point in transit: jaw tips and a held part pass over walls and parts.
         self._clear = highest + CLEARANCE + PART_BELOW_TIPS + arm.gripper.jaw_depth
@@ -221,23 +221,20 @@ class Planner:
         """
         position = transform(self._T, [point[0], point[1], height])
         rise = max(LIFT, self._clear - height)
-        failure: Unreachable | None = None
         azimuth = math.atan2(position[1], position[0] - chain(self.arm).axis[0])
         if rolls is None:
             rolls = roll_for(self.arm, azimuth, direction + self._yaw) or (0.0,)
         roll = min(rolls, key=abs)
         for pitch in PITCHES:
-            ends = np.array([position, position + np.array([0.0, 0.0, rise])])
-            q, allowed = branches(self.arm, ends, pitch, roll)
-            if allowed[:, 0].all():
-                return _Stop(q[0, 0], q[1, 0], rise)
-            if failure is None:
-                try:
-                    inverse(self.arm, position, pitch, roll)
-                    inverse(self.arm, ends[1], pitch, roll)
-                except Unreachable as error:
-                    failure = error
-        raise failure or Unreachable(
+            ends = [
+                next((q for k, q in solutions(self.arm, place, pitch, roll, within=True) if k == 0), None)
+                for place in (position, position + np.array([0.0, 0.0, rise]))
+            ]
+            if ends[0] is not None and ends[1] is not None:
+                return _Stop(np.array(ends[0]), np.array(ends[1]), rise)
+        for over in (0.0, rise):
+            inverse(self.arm, position + np.array([0.0, 0.0, over]), TOP_DOWN, roll)
+        raise Unreachable(
             f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached over the back or elbow down",
             "move it in front of the arm",
         )
@@ -271,17 +268,17 @@ class Planner:
         deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
         best: tuple[float, _Stop] | None = None
         failure: Unreachable | None = None
-        held_yaw = _tool_yaw(self.arm, held)
+        held_yaw = closing_direction(held)
         for roll in self._drop_rolls(drop):
             try:
                 stop = self._stop(drop, over, (roll,))
-                turn = _tool_yaw(self.arm, stop.low) - held_yaw
+                turn = closing_direction(stop.low) - held_yaw
                 shift = (
                     rest[0] * math.cos(turn) - rest[1] * math.sin(turn),
                     rest[0] * math.sin(turn) + rest[1] * math.cos(turn),
                 )
                 place = (drop[0] - shift[0], drop[1] - shift[1])
-                fits = self._jaws_fit(bin, place, closing_direction(self.arm, stop.low) - self._yaw, opening)
+                fits = self._jaws_fit(bin, place, closing_direction(stop.low) - self._yaw, opening)
                 stop = self._stop(place, min(deep, over) if fits else over, (roll,))
             except Unreachable as error:
                 failure = failure or error
@@ -334,31 +331,33 @@ class Planner:
         # From here down the jaws are among the parts: exactly vertical.
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
         inside = min(max(self._clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
-        approach = self._approach(q0, pick, straight)
+        out, in_ = stroke(self.arm, pick.low, pick.rise), stroke(self.arm, place.low, place.rise)
+        approach = self._approach(q0, out.reversed(), pick.rise - straight, grasp.opening)
         carry = self._trajectory(
             "carry",
-            [self._up(pick), line(self.arm, pick.high, place.high), self._down(place)],
+            [out, line(self.arm, pick.high, place.high), in_.reversed()],
             [(pick.rise - straight, CORNER), (CORNER, place.rise - inside)],
             payload=(0.0, self.part_mass),
         )
         goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
         retreat = self._trajectory(
             "retreat",
-            [self._up(place), line(self.arm, place.high, goal)],
+            [in_, line(self.arm, place.high, goal)],
             [(place.rise - inside, CORNER)],
             payload=(self.part_mass, 0.0),
         )
         plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
-        self.gate.check_plan(plan, q0)
+        self.gate.check(carry, pick.low, opening=grasp.opening)
+        self.gate.check(retreat, place.low, opening=grasp.opening)
         return plan
 
-    def _approach(self, q0: Array, pick: _Stop, straight: float) -> Trajectory:
+    def _approach(self, q0: Array, down: Leg, rounded: float, opening: float) -> Trajectory:
         failure: LimitViolation | None = None
-        for legs, corners in self._ways(q0, pick.high):
-            last = (CORNER, pick.rise - straight)
-            trajectory = self._trajectory("approach", [*legs, self._down(pick)], [*corners, last])
+        for legs, corners in self._ways(q0, down.start):
+            last = (CORNER, rounded)
+            trajectory = self._trajectory("approach", [*legs, down], [*corners, last])
             try:
-                self.gate.check(trajectory, q0)
+                self.gate.check(trajectory, q0, opening=opening)
             except LimitViolation as error:
                 failure = failure or error
             else:
@@ -375,12 +374,11 @@ class Planner:
         rise = self._clear - here[2]
         if rise > 1.0:
             try:
-                up = stroke(self.arm, here, q0, rise)
+                up = stroke(self.arm, q0, rise)
             except Unreachable:
                 pass
             else:
-                top = up.curve(np.ones(1), 0)[0]
-                yield [up, line(self.arm, top, goal)], [(max(rise - LIFT / 2.0, 0.0), CORNER)]
+                yield [up, line(self.arm, up.end, goal)], [(max(rise - LIFT / 2.0, 0.0), CORNER)]
         for via in self._tucked(q0[0], goal[0]):
             yield [line(self.arm, q0, via[0]), line(self.arm, via[0], via[1]), line(self.arm, via[1], goal)], [
                 (5.0, CORNER / 2.0),
@@ -394,12 +392,6 @@ class Planner:
             first, second = np.array(pose), np.array(pose)
             first[0], second[0] = waist, goal
             yield first, second
-
-    def _up(self, stop: _Stop) -> Leg:
-        return stroke(self.arm, points(self.arm, stop.low)[3], stop.low, stop.rise)
-
-    def _down(self, stop: _Stop) -> Leg:
-        return stroke(self.arm, points(self.arm, stop.high)[3], stop.high, -stop.rise)
 
     def _trajectory(
         self,
@@ -437,9 +429,3 @@ class Planner:
                     "move it inside by hand with torque off",
                 )
         return clipped
-
-
-def _tool_yaw(arm: ArmDescription, q: Array) -> float:
-    """Direction of the closing axis about z of `base`, with its sign, rad."""
-    axis = forward(arm, q)[:3, 1]
-    return math.atan2(axis[1], axis[0])
