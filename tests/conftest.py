@@ -22,6 +22,16 @@ _OTHERS_THREADS = ("pytest_timeout",)
 _OTHERS_FILES = ("/dev/urandom", "/dev/random", "/dev/null", "anon_inode:")
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the longer studies unless they are asked for: `-m study`, or a test by its name."""
+    if config.option.markexpr or any("::" in argument for argument in config.args):
+        return
+    studies = [item for item in items if item.get_closest_marker("study")]
+    if studies:
+        config.hook.pytest_deselected(items=studies)
+        items[:] = [item for item in items if item not in studies]
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of shared pictures and facts beside the checkout; the test skips where there is none."""
