@@ -62,8 +62,8 @@ class CellSpec:
     level: str = "static"
     heights: Mapping[Shape, float] = field(default_factory=lambda: dict(HEIGHTS))
     grips: tuple[float, ...] = (36.0, 43.0, 50.0)
-    work_area: WorkArea = WorkArea()
-    marker: MarkerMount = MarkerMount()
+    work_area: WorkArea = field(default_factory=WorkArea)
+    marker: MarkerMount = field(default_factory=MarkerMount)
     overrides: Mapping[str, float | Vector] = field(default_factory=dict)
 
     def nominal_matrix(self) -> Array:

@@ -47,7 +47,7 @@ class Lens:
         return np.asarray(pixels, np.float64).reshape(-1, 2), ahead
 
     def rays(self) -> NDArray[np.float32]:
-        """ndarray of shape (H, W, 2): the direction (x, y) with z = 1, in `camera`, that each pixel looks along."""
+        """Directions (x, y) with z = 1, in `camera`, that the pixels look along; (H, W, 2)."""
         width, height = self.size
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from sim_backends.lens import Lens
 from sim_backends.solids import Array, Solid
 
-
 # Bodies in contact overlap by less than this, mm.
 _TOUCHING = -0.3
 

@@ -38,7 +38,7 @@ class Print:
 
     @property
     def corners(self) -> Array:
-        """ndarray of shape (4, 3): its corners in `base`, mm."""
+        """Its corners in `base`, (4, 3), mm."""
         half = np.array(self.picture.shape[1::-1]) * self.pixel_mm / 2.0
         local = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * (*half, 0.0)
         return np.asarray(local @ self.T_base_print[:3, :3].T + self.T_base_print[:3, 3])
@@ -52,7 +52,7 @@ class Projector:
         self._rays = lens.rays()
 
     def plane(self, T_base_plane: Array, region: Region, oversample: int = 1) -> NDArray[np.float32]:
-        """ndarray of shape (h, w, 2): (x, y) in the plane, mm, that the pixels of a region look at."""
+        """Points (x, y) of the plane, mm, that the pixels of a region look at; (h, w, 2)."""
         matrix = np.linalg.inv(self._homography(T_base_plane))
         return np.asarray(cv2.perspectiveTransform(self._finer(region, oversample), matrix), np.float32)
 

@@ -86,7 +86,7 @@ def _axes(quaternion: NDArray[np.float64]) -> tuple[Array, Array]:
 
 
 def can_reach(arm: ArmDescription, x: float, y: float) -> bool:
-    """Whether the described arm can take a part at (x, y) of `base`, mm, pointing straight down, by its joint limits."""
+    """Whether the described arm can take a part at (x, y) of `base`, mm, from straight above, by its joint limits."""
     waist, shoulder, elbow, wrist = arm.joints[:4]
     out, up = math.hypot(x - waist.offset[0], y - waist.offset[1]) - shoulder.offset[0], _TIP_CLEARANCE
     up += arm.gripper.jaw_depth + arm.tool[0] + sum(joint.offset[0] for joint in arm.joints[4:])

@@ -22,7 +22,6 @@ from sim_backends.plant import Drive, Shaft
 from sim_backends.solids import Array, Solid
 from sim_backends.world_model import (
     FLOOR,
-    HORN,
     MM,
     STEP,
     bin_solids,
@@ -369,6 +368,8 @@ class World:
         for geom in range(model.ngeom):
             own, body = model.geom(geom).name, model.body(model.geom_bodyid[geom]).name
             names.append(own.split("/")[0])
+            if own == "cradle":
+                continue
             if body.startswith("link"):
                 kinds[geom] = _LINK
             elif body in (LEFT, RIGHT):
@@ -391,6 +392,8 @@ class World:
             for row in np.flatnonzero(((kinds == _LINK) | (kinds == _JAW)).any(axis=1)):
                 first, second = pairs[row]
                 mine, other = (first, second) if kinds[row, 0] in (_LINK, _JAW) else (second, first)
+                if self._kinds[other] < _PART:
+                    continue  # the arm leans on itself
                 part = int(self._part_of[other])
                 if part >= 0 and self._between_jaws(part):
                     if self._kinds[mine] == _JAW:

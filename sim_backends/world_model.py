@@ -264,7 +264,7 @@ def _cradle(arm: ArmDescription) -> str:
             pitch += arm.rest[index]
     c, s = math.cos(pitch), math.sin(pitch)
     depth = -(below + radius)
-    x, z = place + (c * along + s * depth, c * depth - s * along)
+    x, z = place + np.array([c * along + s * depth, c * depth - s * along])
     return (
         f'<geom name="cradle" type="capsule" fromto="{_numbers((x * MM, -0.014, z * MM, x * MM, 0.014, z * MM))}" '
         f'size="{radius * MM}" contype="{_CRADLE}" conaffinity="0"/>'
