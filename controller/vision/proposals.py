@@ -19,6 +19,12 @@ Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
 
 
+_ZONE = 3.0
+"""Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
+_EDGE_HALF_WIDTH = 1.8
+"""By how much the blur of the searched image makes a zone smaller than its object, px."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
     """One proposed region.
@@ -51,6 +57,7 @@ def propose(white: Whitened, level: float, smallest: float) -> tuple[list[Region
     for cue, image in (("level", strength), ("chroma", chroma)):
         regions += _components(image, level, smallest, cue)
     regions += _edge_regions(edges, smallest)
+    regions += _zones(edges, smallest)
     return regions, {"strength": strength, "chroma": chroma, "edges": edges}
 
 
@@ -102,6 +109,41 @@ def _edge_regions(edges: Floats32, smallest: float) -> list[Region]:
         area = float(cv2.contourArea(hull))
         found.append(Region(hull, area, "edge", 1.0))
     return found
+
+
+def _zones(edges: Floats32, smallest: float) -> list[Region]:
+    """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
+    typical = float(np.median(edges[::3, ::3]))
+    flat = (edges < _ZONE * typical).astype(np.uint8)
+    contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    out = []
+    for index, contour in enumerate(contours):
+        # Its fourth entry is the parent: holes have one, outer boundaries none.
+        if len(contour) < 8 or hierarchy[0, index, 3] >= 0:
+            continue
+        area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
+        if area < 0.25 * smallest or area > 0.3 * edges.size:
+            continue
+        hull = cv2.convexHull(contour)
+        convex = area / (float(cv2.contourArea(hull)) + 0.5 * len(contour) + 1.0)
+        if convex < 0.85:
+            continue
+        grown = _outwards(hull[:, 0].astype(np.float32), _EDGE_HALF_WIDTH)
+        out.append(Region(grown, float(cv2.contourArea(grown)), "zone", 1.0))
+    return out
+
+
+def _outwards(hull: Floats32, by: float) -> Floats32:
+    """A convex polygon (N, 2) with its sides moved outwards."""
+    if len(hull) < 3:
+        return hull
+    side = np.roll(hull, -1, axis=0) - hull
+    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.maximum(np.linalg.norm(side, axis=1), 1e-6)[:, None]
+    if np.sum((hull - hull.mean(axis=0)) * normal) < 0.0:
+        normal = -normal
+    both = normal + np.roll(normal, 1, axis=0)
+    length = np.maximum(np.sum(both * both, axis=1, keepdims=True) / 2.0, 0.3)
+    return np.asarray(hull + by * both / length, np.float32)
 
 
 def _contours(mask: Mask, smallest: float, cue: str) -> list[Region]:

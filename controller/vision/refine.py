@@ -1,28 +1,31 @@
-"""Sub-pixel refinement: the outline, blur and colours that explain the pixels along the edge best.
+"""Sub-pixel refinement: the outline, blur and colours that explain the profiles across the edge best.
 
-Near its edge an object looks like I = B + (F - B) Phi(-d / s): d the signed distance from the outline, s the blur,
-Phi the normal distribution, F a plane over the object, B a slowly varying ring around it. Gauss-Newton over all
-of them at once, on every pixel of a band, with Tukey weights, comes close to the Cramer-Rao bound.
+Across its outline an object looks like I = B + (F - B) Phi(-d / s): d the signed distance, s the blur, Phi the
+normal distribution, F a plane over the object, B the surroundings, free for every chunk of the outline, because
+shadows, neighbours and side faces end where they like. Gauss-Newton over shape, blur and F, with B eliminated and
+Tukey weights, on all objects at once.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from controller.vision.local_map import LocalMaps
-from controller.vision.shapes import Family, area, signed_distance, vertices
+from controller.vision.profiles import CHUNKS, Profiles, sample
+from controller.vision.shapes import CIRCLE, Family, area, vertices
 
 Floats = NDArray[np.float64]
 
-_BINS = 24
+_SHAPE = 8
+"""Parameters of any family, padded: (cx, cy, three sizes, three turns)."""
 _CORNER = 1.6
-"""Pixels whose two nearest sides are closer than this many blurs see a rounded corner, not an edge."""
+"""Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,9 +37,10 @@ class Refined:
         blur: Standard deviation of the edge's blur, px.
         contrast: Difference across the edge in units of the pixel noise.
         levels: The same in gray levels (root mean square over the channels).
-        misfit: How far the true outline strays from the fitted one beyond the noise, px (rms).
-        visible: Share of the outline where an edge is to be seen.
-        seen: ndarray of shape (_BINS,), dtype bool: the same by direction from the centre.
+        misfit: How far the outline strays from the fitted one beyond the noise, px (rms, trimmed).
+        seen: ndarray of shape (CHUNKS,), dtype bool: where an edge is to be seen.
+        strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
+        inside_colour: ndarray of shape (3,): mean colour just inside, BGR levels.
     """
 
     q: Floats
@@ -44,176 +48,369 @@ class Refined:
     contrast: float
     levels: float
     misfit: float
-    visible: float
     seen: NDArray[np.bool_]
+    strays: Floats
+    inside_colour: Floats
+
+    @property
+    def visible(self) -> float:
+        """Share of the outline where an edge is to be seen."""
+        return float(self.seen.mean())
 
 
 def pixel_noise(image: NDArray[np.uint8]) -> Floats:
     """Covariance (3, 3) of the pixel noise, from differences of neighbours on a sample of rows."""
     height, width = image.shape[:2]
-    rows = image[:: max(1, height // 60)].astype(np.float64)
     if width < 4:
         return np.eye(3)
+    rows = image[:: max(1, height // 40)].astype(np.float32)
     # The second difference is blind to slopes; its variance is 6 times the noise's.
-    second = (rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:])[:, :: max(1, width // 160)].reshape(-1, 3)
+    second = (rows[:, :-2] - 2.0 * rows[:, 1:-1] + rows[:, 2:])[:, :: max(1, width // 100)].reshape(-1, 3)
     scale = np.maximum(1.4826 * np.median(np.abs(second), axis=0), 0.5)
-    kept = second[(np.abs(second) < 3.5 * scale).all(axis=1)]
+    kept = second[(np.abs(second) < 3.5 * scale).all(axis=1)].astype(np.float64)
     covariance = kept.T @ kept / max(len(kept), 1) / 6.0
-    # Rounding to levels alone has a variance of 1/12; compression hides the noise in flat blocks.
+    # Rounding alone has a variance of 1/12; compression hides noise in flat blocks.
     return np.asarray(covariance + np.eye(3) * 0.3)
 
 
+@dataclass(slots=True, eq=False)
+class _Batch:
+    """Outlines being refined; arrays have one row an object."""
+
+    families: list[Family]
+    index: NDArray[np.intp]
+    q: Floats
+    blur: Floats
+    base: Floats
+    size_of: NDArray[np.intp]
+    turn_of: NDArray[np.intp]
+    round_: NDArray[np.bool_]
+    moves: NDArray[np.bool_]
+
+    def geometry(self) -> tuple[Floats, Floats]:
+        """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
+        rows = np.arange(len(self.q))[:, None]
+        turn = self.base + np.where(self.round_[:, None], 0.0, self.q[rows, 5 + self.turn_of])
+        reach = self.q[rows, 2 + self.size_of]
+        return np.stack([np.cos(turn), np.sin(turn)], axis=-1), reach
+
+
+_SIDE = {family: np.repeat(np.arange(n), CHUNKS // n) for family, n in ((3, 3), (4, 4), (6, 6))}
+
+
+def _pad(family: Family, q: Floats) -> Floats:
+    out = np.zeros(_SHAPE)
+    out[: 2 + family.sizes] = q[: 2 + family.sizes]
+    out[5 : 5 + family.turns] = q[2 + family.sizes :]
+    return out
+
+
+def _unpad(family: Family, q: Floats) -> Floats:
+    return np.concatenate([q[: 2 + family.sizes], q[5 : 5 + family.turns]])
+
+
+def _batch(families: Sequence[Family], qs: Sequence[Floats], index: Sequence[int], blur: float) -> _Batch:
+    count = len(families)
+    base = np.empty((count, CHUNKS))
+    size_of = np.zeros((count, CHUNKS), np.intp)
+    turn_of = np.zeros((count, CHUNKS), np.intp)
+    for i, family in enumerate(families):
+        if family is CIRCLE:
+            base[i] = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
+        else:
+            side = _SIDE[len(family.normals)]
+            base[i], size_of[i], turn_of[i] = family.normals[side], family.size_of[side], family.turn_of[side]
+    return _Batch(
+        list(families),
+        np.asarray(index, np.intp),
+        np.array([_pad(f, q) for f, q in zip(families, qs, strict=True)]),
+        np.full(count, blur),
+        base,
+        size_of,
+        turn_of,
+        np.array([f is CIRCLE for f in families]),
+        np.array([f.moves for f in families]),
+    )
+
+
 def refine(
-    image: NDArray[np.uint8], noise: Floats, family: Family, q: Floats, maps: LocalMaps, k: int, blur: float
-) -> Refined | None:
-    """The outline refined on the pixels of `image`, or None when it runs away or leaves nothing to see.
+    image: NDArray[np.uint8],
+    noise: Floats,
+    families: Sequence[Family],
+    qs: Sequence[Floats],
+    maps: LocalMaps,
+    index: Sequence[int],
+    blur: float,
+) -> list[Refined | None]:
+    """Outlines refined on the pixels; None for one that runs away or leaves nothing to see.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8.
         noise: Covariance of the pixel noise, (3, 3).
-        family: Its family.
-        q: Start, local coordinates, within a few pixels of the truth.
+        families: Family of each outline.
+        qs: Start of each, local coordinates, within a few pixels of the truth.
         maps: The local coordinates.
-        k: Which object of `maps`.
+        index: Which object of `maps` each outline belongs to.
         blur: Expected blur, px.
     """
-    start = q.copy()
-    size = math.sqrt(float(area(family, q[None])[0]))
-    fit: _Fit | None = None
-    for _ in range(3):
-        band = min(max(3.0, 3.0 * blur), max(3.0, 0.3 * size))
-        pixels, values = _band(image, family, q, maps, k, band)
-        if len(values) < 30:
-            return None
-        fit = _fit(family, q, maps.to_local(k, pixels), values, noise, blur, size)
-        if fit is None:
-            return None
-        q = fit.q
-        wanted = min(max(3.0, 3.0 * fit.blur), max(3.0, 0.3 * size))
-        settled = abs(wanted - band) < 0.35 * band
-        blur = fit.blur
-        if settled:
-            break
-    assert fit is not None
-    moved = math.hypot(q[0] - start[0], q[1] - start[1])
-    grown = float(area(family, q[None])[0]) / size**2
-    if moved > 0.15 * size + 2.0 or not 0.6 < grown < 1.6:
-        return None
-    return fit.refined()
-
-
-def _band(
-    image: NDArray[np.uint8], family: Family, q: Floats, maps: LocalMaps, k: int, band: float
-) -> tuple[Floats, Floats]:
-    """Pixels (N, 2) within about `band` of the outline and their colours (N, 3)."""
-    outline = maps.to_pixels(k, vertices(family, q))
-    height, width = image.shape[:2]
-    margin = int(band) + 3
-    low = np.floor(outline.min(axis=0)).astype(int) - margin
-    high = np.ceil(outline.max(axis=0)).astype(int) + margin + 1
-    x0, y0 = max(0, low[0]), max(0, low[1])
-    x1, y1 = min(width, high[0]), min(height, high[1])
-    if x1 - x0 < 3 or y1 - y0 < 3:
-        return np.empty((0, 2)), np.empty((0, 3))
-    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    points = np.rint((outline - (x0, y0)) * 16).astype(np.int32)
-    cv2.polylines(mask, [points[:, None]], True, 1, thickness=2 * math.ceil(band) + 1, shift=4)
-    ys, xs = np.nonzero(mask)
-    pixels = np.stack([xs + x0, ys + y0], axis=1).astype(np.float64)
-    return pixels, image[y0:y1, x0:x1][ys, xs].astype(np.float64)
+    if not families:
+        return []
+    batch = _batch(families, qs, index, blur)
+    size = np.array([math.sqrt(max(float(area(f, q[None])[0]), 1.0)) for f, q in zip(families, qs, strict=True)])
+    start = batch.q.copy()
+    reach = np.minimum(np.maximum(4.5, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
+    state = _rounds(image, noise, batch, maps, size, reach, 3)
+    reach = np.minimum(np.maximum(4.0, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
+    state = _rounds(image, noise, batch, maps, size, reach, 3)
+    return _verdicts(batch, state, start, size)
 
 
 @dataclass(slots=True, eq=False)
-class _Fit:
-    q: Floats
-    blur: float
-    contrast: float
-    levels: float
+class _State:
     rest: Floats
-    good: NDArray[np.bool_]
-    inside: Floats
+    weight: Floats
+    bell: Floats
+    lit: Floats
     value: Floats
-    turn: Floats
-
-    def refined(self) -> Refined:
-        squared = np.sort(self.rest[self.good] ** 2)
-        trimmed = float(squared[: max(1, int(0.97 * len(squared)))].mean()) / 0.84
-        edge = math.sqrt(self.blur**2 + 1.0 / 12.0)
-        misfit = 2.5 * edge * math.sqrt(max(trimmed - 1.0, 0.0)) / max(self.contrast, 1e-6)
-        seen, present = self._seen(math.sqrt(max(trimmed, 1.0)))
-        visible = float(seen[present].mean()) if present.any() else 0.0
-        return Refined(self.q, self.blur, self.contrast, self.levels, misfit, visible, seen)
-
-    def _seen(self, noise: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """By direction: whether an edge of the right sign stands out of the noise, and whether one could."""
-        turn = np.floor((self.turn / (2.0 * math.pi) % 1.0) * _BINS).astype(np.intp) % _BINS
-        turn, inside, value = turn[self.good], self.inside[self.good], self.value[self.good]
-        n = np.maximum(np.bincount(turn, minlength=_BINS), 1)
-        mean_i = np.bincount(turn, inside, _BINS) / n
-        mean_v = np.bincount(turn, value, _BINS) / n
-        var = np.bincount(turn, inside**2, _BINS) / n - mean_i**2
-        cov = np.bincount(turn, inside * value, _BINS) / n - mean_i * mean_v
-        present = var * n > 0.3
-        step = cov / np.maximum(var, 1e-6)
-        error = noise / np.sqrt(np.maximum(var * n, 1e-6))
-        return np.asarray(step > np.maximum(3.0 * error, 0.12 * self.contrast)), np.asarray(present)
+    lines: Floats
+    contrast: Floats
+    levels: Floats
+    jump: Floats
+    inner: Floats
 
 
-def _fit(
-    family: Family, q: Floats, points: Floats, values: Floats, noise: Floats, blur: float, size: float
-) -> _Fit | None:
-    distance, _, _ = (item[0] for item in signed_distance(family, q[None], points[None]))
-    inner, outer = values[distance < -1.2 * blur], values[distance > 1.2 * blur]
-    if len(inner) < 8 or len(outer) < 8:
-        return None
-    difference = np.median(inner, axis=0) - np.median(outer, axis=0)
-    direction = np.linalg.solve(noise, difference)
-    contrast = math.sqrt(max(float(difference @ direction), 1e-12))
-    value = values @ (direction / contrast)
-    x, y = points[:, 0] / size, points[:, 1] / size
-    turn = np.arctan2(y - q[1] / size, x - q[0] / size)
-    ring = np.stack([np.ones_like(x), np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)])
-    face = np.stack([np.ones_like(x), x, y])
-    q = q.copy()
-    count = len(face) + len(ring)
-    weight = np.ones(len(value))
-    rest, inside = value, value
-    good = np.ones(len(value), bool)
-    colours: Floats | None = None
-    for step in range(5):
-        distance, jacobian, gap = (item[0] for item in signed_distance(family, q[None], points[None]))
-        z = -distance / blur
-        inside = ndtr(z)
+def _chunk_ends(batch: _Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]:
+    """Start, end (K, CHUNKS, 2) and outward normal of every chunk, px."""
+    starts = np.empty((len(batch.q), CHUNKS, 2))
+    ends = np.empty_like(starts)
+    for i, family in enumerate(batch.families):
+        q = _unpad(family, batch.q[i])
+        if family is CIRCLE:
+            turn = np.arange(CHUNKS + 1) * 2.0 * math.pi / CHUNKS
+            # Moved out a little, a chord straddles its arc evenly.
+            radius = q[2] * (1.0 + (math.pi / CHUNKS) ** 2 / 3.0)
+            ring = np.stack([q[0] + radius * np.cos(turn), q[1] + radius * np.sin(turn)], axis=1)
+            starts[i], ends[i] = ring[:-1], ring[1:]
+            continue
+        n = len(family.normals)
+        corner = _corners_in_order(family, q)
+        margin = _CORNER * batch.blur[i]
+        side = corner - np.roll(corner, 1, axis=0)
+        length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-6)
+        cut = np.minimum(margin / length, 0.3)
+        pieces = CHUNKS // n
+        t = cut[:, None] + (1.0 - 2.0 * cut[:, None]) * np.linspace(0.0, 1.0, pieces + 1)
+        points = np.roll(corner, 1, axis=0)[:, None] + side[:, None] * t[..., None]
+        starts[i] = points[:, :-1].reshape(-1, 2)
+        ends[i] = points[:, 1:].reshape(-1, 2)
+    normals, _ = batch.geometry()
+    if maps.plane is None:
+        center = maps.centers[batch.index][:, None]
+        return starts + center, ends + center, normals
+    a, b, tip = np.empty_like(starts), np.empty_like(starts), np.empty_like(starts)
+    for i, k in enumerate(batch.index):
+        middle = 0.5 * (starts[i] + ends[i]) + normals[i]
+        mapped = maps.to_pixels(int(k), np.concatenate([starts[i], ends[i], middle]))
+        a[i], b[i], tip[i] = mapped[:CHUNKS], mapped[CHUNKS : 2 * CHUNKS], mapped[2 * CHUNKS :]
+    outward = tip - 0.5 * (a + b)
+    along = b - a
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    across *= np.sign(np.sum(across * outward, axis=-1, keepdims=True))
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    return a, b, across
+
+
+def _corners_in_order(family: Family, q: Floats) -> Floats:
+    """Corner k (S, 2) lies between side k and side k + 1 of the family's own order."""
+    turns = q[2 + family.sizes :][family.turn_of] + family.normals
+    reach = q[2 + family.size_of]
+    following, reach_2 = np.roll(turns, -1), np.roll(reach, -1)
+    det = np.sin(following - turns)
+    det = np.where(np.abs(det) < 1e-6, 1e-6, det)
+    x = (reach * np.sin(following) - reach_2 * np.sin(turns)) / det
+    y = (reach_2 * np.cos(turns) - reach * np.cos(following)) / det
+    return np.stack([q[0] + x, q[1] + y], axis=1)
+
+
+def _rounds(
+    image: NDArray[np.uint8],
+    noise: Floats,
+    batch: _Batch,
+    maps: LocalMaps,
+    size: Floats,
+    reach: Floats,
+    rounds: int,
+) -> _State:
+    """Sample once, then some Gauss-Newton steps; changes `batch.q` and `batch.blur`."""
+    starts, ends, normals = _chunk_ends(batch, maps)
+    columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
+    profiles = sample(image, starts, ends, normals, reach, columns)
+    local = _local(profiles, maps, batch.index)
+    chord = np.linalg.norm(ends - starts, axis=2)
+    value, contrast, levels, inner = _project(profiles, noise)
+    value -= value.mean(axis=(1, 2), keepdims=True)
+    # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
+    spacing = np.minimum(2.0 * reach / (columns - 1), 1.0)
+    lines = np.minimum(np.maximum(chord, 0.25), profiles.lines) * spacing[:, None]
+    sigma = 1.0 / np.sqrt(lines)
+    free = profiles.inside & _clear_of_corners(batch, local)
+    state: _State | None = None
+    face = np.ones(3)
+    weight = free.astype(np.float64)
+    for step in range(rounds + 1):
+        dx = local[..., 0] - batch.q[:, None, None, 0]
+        dy = local[..., 1] - batch.q[:, None, None, 1]
+        distance, jacobian = _distance(batch, dx, dy, chord)
+        blur = batch.blur[:, None, None]
+        z = distance / blur
+        lit = ndtr(-z)
         bell = np.exp(-0.5 * z * z) / (math.sqrt(2.0 * math.pi) * blur)
-        good = gap > _CORNER * blur
-        if good.sum() < 20:
-            return None
-        linear = np.concatenate([face * inside, ring * (1.0 - inside)])
-        used = weight * good
-        if colours is None:
-            colours = _solve(linear * used, linear, value)
-        rest = value - colours @ linear
+        scale = 1.0 / size[:, None, None]
+        rows = np.empty((len(batch.q), _SHAPE + 4, *distance.shape[1:]))
+        # F first: with B eliminated per chunk it is solved for along with the shape.
+        plane = np.stack([np.ones_like(dx), dx * scale, dy * scale], axis=1)
+        rows[:, _SHAPE : _SHAPE + 3] = plane * lit[:, None]
+        sqrt_w = np.sqrt(weight) / sigma[..., None]
+        dark = (1.0 - lit) * sqrt_w
+        energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
+
+        def without_surroundings(item: Floats, dark: Floats = dark, energy: Floats = energy) -> Floats:
+            share = np.einsum("kcd,k...cd->k...c", dark, item, optimize=True) / energy.reshape(
+                energy.shape[0], *([1] * (item.ndim - 3)), energy.shape[1]
+            )
+            return np.asarray(item - share[..., None] * (dark if item.ndim == 3 else dark[:, None]))
+
+        target = without_surroundings(value * sqrt_w)
+        faces = without_surroundings(rows[:, _SHAPE : _SHAPE + 3] * sqrt_w[:, None])
+        flat = faces.reshape(len(batch.q), 3, -1)
+        normal = flat @ flat.transpose(0, 2, 1) + 1e-6 * np.eye(3)
+        face = np.linalg.solve(normal, (flat @ target.reshape(len(batch.q), -1, 1)))[..., 0]
+        bright = np.einsum("kp,kpcd->kcd", face, plane)
+        raw = (value - bright * lit) * sqrt_w
+        around = np.einsum("kcd,kcd->kc", dark, raw) / energy
+        rest = (raw - around[..., None] * dark) / np.maximum(sqrt_w, 1e-12) / sigma[..., None]
+        rest = np.where(weight > 0.0, rest, 0.0)
+        jump = bright - around[..., None]
+        state = _State(rest, weight, bell, lit, value, lines, contrast, levels, jump, inner)
+        if step == rounds:
+            break
         if step > 0:
-            scale = max(1.0, 1.4826 * float(np.median(np.abs(rest[good]))))
-            ratio = np.minimum(np.abs(rest) / (5.0 * scale), 1.0)
-            used = good * (1.0 - ratio**2) ** 2
-        jump = colours[:3] @ face - colours[3:] @ ring
+            spread = np.maximum(1.0, 1.4826 * np.median(np.abs(rest).reshape(len(rest), -1), axis=1))
+            ratio = np.minimum(np.abs(rest) / (6.0 * spread[:, None, None]), 1.0)
+            weight = free * (1.0 - ratio**2) ** 2
+            sqrt_w = np.sqrt(weight) / sigma[..., None]
         slope = -jump * bell
-        rows = np.concatenate([linear, slope * jacobian.T, (slope * z)[None]])
-        change = _solve(rows * used, rows, rest)
-        colours = colours + change[:count]
-        parameters = family.parameters
-        q[:] += np.clip(change[count : count + parameters], -2.0, 2.0)
-        blur = float(np.clip(blur + np.clip(change[-1], -0.4 * blur, 0.6 * blur), 0.35, 20.0))
-        weight = used
-        if not np.isfinite(q).all():
-            return None
-    levels = float(np.sqrt(np.mean(difference**2)))
-    return _Fit(q, blur, contrast, levels, rest, good, inside, value, turn)
+        rows[:, :_SHAPE] = slope[:, None] * jacobian
+        rows[:, _SHAPE + 3] = -slope * z
+        rows *= sqrt_w[:, None]
+        dark = (1.0 - lit) * sqrt_w
+        energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
+        rows = without_surroundings(rows, dark, energy)
+        target = without_surroundings((value - bright * lit) * sqrt_w, dark, energy)
+        flat = rows.reshape(len(batch.q), _SHAPE + 4, -1)
+        normal = flat @ flat.transpose(0, 2, 1)
+        trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+        normal += np.eye(_SHAPE + 4) * (1e-9 * trace + 1e-9)
+        change = np.linalg.solve(normal, flat @ target.reshape(len(batch.q), -1, 1))[..., 0]
+        change = np.nan_to_num(change)
+        batch.q += np.clip(change[:, :_SHAPE], -1.5, 1.5)
+        swing = np.clip(change[:, _SHAPE + 3], -0.4 * batch.blur, 0.6 * batch.blur)
+        batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
+    assert state is not None
+    return state
 
 
-def _solve(weighted: Floats, rows: Floats, target: Floats) -> Floats:
-    normal = weighted @ rows.T
-    trace = np.trace(normal) / len(normal)
-    normal[np.diag_indices_from(normal)] += 1e-7 * trace + 1e-12
-    return np.asarray(np.linalg.solve(normal, weighted @ target))
+def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floats:
+    """The samples in local coordinates, (K, CHUNKS, D, 2)."""
+    if maps.plane is None:
+        return np.asarray(profiles.pixels - maps.centers[index][:, None, None])
+    return np.stack([maps.to_local(int(k), profiles.pixels[i]) for i, k in enumerate(index)])
+
+
+def _project(profiles: Profiles, noise: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Profiles along the colour difference that stands out of the noise best, in units of the noise."""
+    columns = profiles.values.shape[2]
+    third = columns // 3
+    inner = np.median(profiles.values[:, :, :third].reshape(len(profiles.values), -1, 3), axis=1)
+    outer = np.median(profiles.values[:, :, -third:].reshape(len(profiles.values), -1, 3), axis=1)
+    difference = inner - outer
+    direction = np.linalg.solve(noise, difference.T).T
+    contrast = np.sqrt(np.maximum(np.sum(difference * direction, axis=1), 1e-12))
+    direction /= contrast[:, None]
+    value = np.einsum("kcdi,ki->kcd", profiles.values, direction)
+    return value, contrast, np.sqrt(np.mean(difference**2, axis=1)), inner
+
+
+def _distance(batch: _Batch, dx: Floats, dy: Floats, chord: Floats) -> tuple[Floats, Floats]:
+    """Signed distance (K, CHUNKS, D) from each sample's own side, and its derivatives (K, 8, CHUNKS, D)."""
+    normal, reach = batch.geometry()
+    n_x = np.broadcast_to(normal[..., 0, None], dx.shape).copy()
+    n_y = np.broadcast_to(normal[..., 1, None], dx.shape).copy()
+    distance = dx * n_x + dy * n_y - reach[..., None]
+    if batch.round_.any():
+        r = batch.round_
+        radius = np.maximum(np.hypot(dx[r], dy[r]), 1e-9)
+        n_x[r], n_y[r] = dx[r] / radius, dy[r] / radius
+        # The mean distance of a chord's points is longer than its middle's.
+        distance[r] = np.sqrt(radius**2 + chord[r][..., None] ** 2 / 12.0) - reach[r][..., None]
+    jacobian = np.zeros((len(dx), _SHAPE, *dx.shape[1:]))
+    moves = batch.moves[:, None, None]
+    jacobian[:, 0], jacobian[:, 1] = -n_x * moves, -n_y * moves
+    turning = np.where(batch.round_[:, None, None], 0.0, dy * n_x - dx * n_y)
+    for i in range(3):
+        jacobian[:, 2 + i] = np.where(batch.size_of == i, -1.0, 0.0)[..., None]
+        jacobian[:, 5 + i] = (batch.turn_of == i)[..., None] * turning
+    return distance, jacobian
+
+
+def _clear_of_corners(batch: _Batch, local: Floats) -> NDArray[np.bool_]:
+    """Samples whose distance to every other side is larger than the blur reaches."""
+    clear = np.ones(local.shape[:3], bool)
+    for i, family in enumerate(batch.families):
+        if family is CIRCLE:
+            continue
+        q = _unpad(family, batch.q[i])
+        turns = q[2 + family.sizes :][family.turn_of] + family.normals
+        planes = (local[i] - q[:2]) @ np.stack([np.cos(turns), np.sin(turns)]) - q[2 + family.size_of]
+        side = _SIDE[len(family.normals)]
+        planes[np.arange(CHUNKS)[:, None], np.arange(local.shape[2])[None], side[:, None]] = -np.inf
+        clear[i] = planes.max(axis=2) < -_CORNER * 0.8 * batch.blur[i]
+    return clear
+
+
+def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats) -> list[Refined | None]:
+    """Per object: misfit and visibility from the profiles that remain."""
+    w = state.weight * state.lines[..., None]
+    slope = state.jump * state.bell
+    information = np.einsum("kcd,kcd,kcd->kc", w, slope, slope)
+    deviation = np.einsum("kcd,kcd,kcd->kc", w, slope, state.rest / np.sqrt(state.lines)[..., None])
+    stray = deviation / np.maximum(information, 1e-9)
+    error = 1.0 / np.maximum(information, 1e-9)
+    centred = state.lit - np.einsum("kcd,kcd->kc", w, state.lit)[..., None] / np.maximum(
+        w.sum(axis=2, keepdims=True), 1e-9
+    )
+    power = np.einsum("kcd,kcd,kcd->kc", w, centred, centred)
+    step = np.einsum("kcd,kcd,kcd->kc", w, centred, state.value) / np.maximum(power, 1e-9)
+    seen = (step > np.maximum(4.0 / np.sqrt(np.maximum(power, 1e-9)), 0.15 * state.contrast[:, None])) & (power > 0.2)
+    out: list[Refined | None] = []
+    for i, family in enumerate(batch.families):
+        q = _unpad(family, batch.q[i])
+        if not np.isfinite(q).all() or (q[2 : 2 + family.sizes] <= 0.5).any():
+            out.append(None)
+            continue
+        moved = math.hypot(*(q[:2] - start[i, :2]))
+        grown = float(area(family, q[None])[0]) / size[i] ** 2
+        if moved > 0.15 * size[i] + 2.0 or not 0.6 < grown < 1.6:
+            out.append(None)
+            continue
+        usable = information[i] > 0.0
+        excess = np.sort((stray[i] ** 2 - error[i])[usable])
+        kept = excess[: max(1, int(0.92 * len(excess)))] if len(excess) else np.array([np.inf])
+        misfit = math.sqrt(max(float(kept.mean()), 0.0))
+        out.append(
+            Refined(
+                q, float(batch.blur[i]), float(state.contrast[i]), float(state.levels[i]), misfit,
+                seen[i], stray[i], state.inner[i],
+            )
+        )  # fmt: skip
+    return out
