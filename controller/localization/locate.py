@@ -88,19 +88,18 @@ def _locate_one(
 ) -> LocatedObject | str:
     if "cut_by_border" in detection.flags:
         return "cut by the border of the picture"
-    if len(detection.outline_px) < MIN_POINTS:
-        return f"only {len(detection.outline_px)} outline points"
     if detection.frame.size != calibration.camera.image_size:
         return f"a picture of {detection.frame.size} px, calibrated at {calibration.camera.image_size}"
-    rough = _on_half_height(detection, calibration, height)
+    silhouette = detection.shape is Shape.OTHER or len(detection.outline_px) >= MIN_POINTS
+    rough = _on_plane(detection, calibration, height, height / 2 if silhouette else height)
     if rough is None:
         return "its rays do not meet the table"
-    if not refine or detection.shape is Shape.OTHER:
+    if not refine or detection.shape is Shape.OTHER or not silhouette:
         return rough
     fit = _fit(detection, calibration, rough, noise, limits)
-    reason = _objection(fit, limits)
-    if reason:
-        return reason
+    if _objection(fit, limits):
+        # A regular outline that no upright prism casts as its silhouette is the rim of the top face.
+        return _on_plane(detection, calibration, height, height) or "its rays do not meet the table"
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
     return LocatedObject(
         detection=detection,
@@ -114,9 +113,15 @@ def _locate_one(
     )
 
 
-def _on_half_height(detection: Detection, calibration: CellCalibration, height: float) -> LocatedObject | None:
-    """The silhouette on the plane z = h/2, where parallax of top and foot cancel to first order."""
-    plane = calibration.plane(height / 2)
+def _on_plane(
+    detection: Detection, calibration: CellCalibration, height: float, level: float
+) -> LocatedObject | None:
+    """The outline on the plane z = `level`, mm.
+
+    A silhouette belongs on half the part's height, where parallax of top and foot cancel to first order; the
+    rim of the top face belongs on the part's height.
+    """
+    plane = calibration.plane(level)
     outline = plane.to_plane(detection.outline_px)
     if not np.isfinite(outline).all():
         return None
@@ -140,7 +145,7 @@ def _on_half_height(detection: Detection, calibration: CellCalibration, height: 
     return LocatedObject(
         detection=detection,
         center=center,
-        yaw=_yaw(detection, calibration, height),
+        yaw=_yaw(detection, calibration, level),
         size=size,
         height=height,
         footprint=outline,
@@ -149,7 +154,7 @@ def _on_half_height(detection: Detection, calibration: CellCalibration, height: 
     )
 
 
-def _yaw(detection: Detection, calibration: CellCalibration, height: float) -> float | None:
+def _yaw(detection: Detection, calibration: CellCalibration, level: float) -> float | None:
     """The detection's direction carried over to the table."""
     period = detection.shape.period
     if detection.angle is None or period is None:
@@ -158,7 +163,7 @@ def _yaw(detection: Detection, calibration: CellCalibration, height: float) -> f
     # Counter-clockwise as displayed: the image's y runs down.
     ahead = reach * np.array([math.cos(detection.angle), -math.sin(detection.angle)])
     ends = np.asarray(detection.center_px) + np.array([-ahead, ahead])
-    back, front = calibration.plane(height / 2).to_plane(ends)
+    back, front = calibration.plane(level).to_plane(ends)
     return wrap(math.atan2(front[1] - back[1], front[0] - back[0]), period)
 
 
