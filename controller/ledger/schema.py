@@ -1,7 +1,7 @@
 """The tables of the ledger and the way from every older form to the present one.
 
 The database itself refuses what must never happen: a second outcome of a target, an intent after the outcome,
-a record changed or taken away.
+a record changed, or taken away other than by retention, which first adds it to the counts of its day.
 """
 
 from __future__ import annotations
@@ -74,6 +74,22 @@ _V1 = (
     )
     """,
     """
+    CREATE TABLE days (
+      day TEXT NOT NULL,
+      mode TEXT NOT NULL,
+      label TEXT NOT NULL,
+      bin TEXT NOT NULL,
+      result TEXT NOT NULL,
+      targets INTEGER NOT NULL,
+      attempts INTEGER NOT NULL,
+      PRIMARY KEY (day, mode, label, bin, result)
+    ) WITHOUT ROWID
+    """,
+    # Empty but within the transaction that takes old records away.
+    "CREATE TABLE pruning (before TEXT NOT NULL)",
+    "CREATE INDEX outcomes_by_wall ON outcomes (wall)",
+    "CREATE INDEX events_by_wall ON events (wall)",
+    """
     CREATE TRIGGER no_intent_after_outcome BEFORE INSERT ON intents
     WHEN EXISTS (SELECT 1 FROM outcomes WHERE run_id = NEW.run_id AND target_id = NEW.target_id)
     BEGIN SELECT RAISE(ABORT, 'the target already has an outcome'); END
@@ -81,10 +97,11 @@ _V1 = (
     *(
         f"""
         CREATE TRIGGER {table}_never_{verb.lower()}d BEFORE {verb} ON {table}
+        WHEN {condition}
         BEGIN SELECT RAISE(ABORT, 'the ledger only grows'); END
         """
         for table in ("intents", "outcomes", "events")
-        for verb in ("UPDATE", "DELETE")
+        for verb, condition in (("UPDATE", "TRUE"), ("DELETE", "NOT EXISTS (SELECT 1 FROM pruning)"))
     ),
 )
 
@@ -106,7 +123,7 @@ def is_foreign(connection: sqlite3.Connection) -> bool:
 
 
 def migrate(connection: sqlite3.Connection) -> None:
-    """Bring a database to `SCHEMA` within the transaction that the caller has begun."""
+    """Bring a database to `SCHEMA`, within the transaction that the caller has begun if half of it must not stay."""
     for step in range(version_of(connection), SCHEMA):
         for statement in MIGRATIONS[step]:
             connection.execute(statement)

@@ -8,13 +8,14 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from controller.domain import Outcome, PickPlan, Result
 from controller.errors import LedgerError
 from controller.ledger.failures import DAMAGED, as_ledger_error, code_of
 from controller.ledger.records import OBJECT_COLUMNS, PLAN_COLUMNS, object_row, plan_row
+from controller.ledger.retention import prune
 from controller.ledger.schema import SCHEMA, migrate, version_of
 from controller.ledger.view import LedgerReader, refuse_unknown
 from controller.ports import Clock
@@ -210,6 +211,26 @@ class SqliteLedger(LedgerReader):
             )
         self._run_id = None
 
+    def prune(self, keep: timedelta = timedelta(days=400), most_bytes: int = 256 << 20) -> int:
+        """Take away old records, keeping their counts by day; `days` has them.
+
+        Args:
+            keep: Records younger than this stay if they fit.
+            most_bytes: Size the records may take; the oldest days go first, today's stay.
+
+        Returns:
+            Number of targets whose single records are gone.
+
+        Raises:
+            LedgerError: It could not be written; nothing is gone.
+        """
+        with self._transaction("take away old records"):
+            gone = prune(self._connection, self._wall(), keep, most_bytes)
+        with self._lock, as_ledger_error(self.path, "give back space"):
+            # As a script: it frees a page at every step, and execute() takes only the first.
+            self._connection.executescript("PRAGMA incremental_vacuum")
+        return gone
+
     def close(self) -> None:
         """End the run in progress and release the file; harmless when closed.
 
@@ -301,6 +322,9 @@ def _open(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, timeout=2.0, isolation_level=None, check_same_thread=False)
     try:
         refuse_unknown(connection, path)
+        if version_of(connection) == 0:
+            # Only a database without tables takes this on: pages given free can be handed back to the disk.
+            connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
         connection.execute("PRAGMA journal_mode = WAL")
         # FULL: a commit has reached the disk before it returns, not only the operating system.
         connection.execute("PRAGMA synchronous = FULL")

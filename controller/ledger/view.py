@@ -16,11 +16,17 @@ from urllib.parse import quote
 from controller.domain import Result
 from controller.errors import LedgerError
 from controller.ledger.failures import as_ledger_error
-from controller.ledger.schema import SCHEMA, is_foreign, version_of
+from controller.ledger.schema import SCHEMA, is_foreign, migrate, version_of
 
-Table = Literal["runs", "intents", "outcomes", "events"]
-TABLES: tuple[Table, ...] = ("runs", "intents", "outcomes", "events")
-_KEY: dict[Table, str] = {"runs": "run_id", "intents": "intent_id", "outcomes": "outcome_id", "events": "event_id"}
+Table = Literal["runs", "intents", "outcomes", "events", "days"]
+TABLES: tuple[Table, ...] = ("runs", "intents", "outcomes", "events", "days")
+_KEY: dict[Table, str] = {
+    "runs": "run_id",
+    "intents": "intent_id",
+    "outcomes": "outcome_id",
+    "events": "event_id",
+    "days": "day, mode, label, bin, result",
+}
 
 _OPEN_TARGETS = """
     SELECT DISTINCT run_id, target_id FROM intents
@@ -53,8 +59,8 @@ class LedgerReader:
         self.close()
 
     def rows(self, table: Table, run_id: int | None = None) -> Iterator[dict[str, object]]:
-        """The records of a table, oldest first, of one run or of all."""
-        if table not in TABLES:
+        """The records of a table, oldest first, of one run or of all; `days` counts what retention took away."""
+        if table not in TABLES or (table == "days" and run_id is not None):
             raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")
         where, values = ("", ()) if run_id is None else ("WHERE run_id = ?", (run_id,))
         with as_ledger_error(self.path, "read"), closing(self._connection.cursor()) as cursor:
@@ -67,7 +73,10 @@ class LedgerReader:
                 yield row
 
     def counts(self, run_id: int | None = None) -> dict[str, int]:
-        """Targets by result, plus `open` (begun without an outcome yet) and `targets` (all of them)."""
+        """Targets by result, plus `open` (begun without an outcome yet) and `targets` (all of them).
+
+        Without those that retention took away: `days` counts them.
+        """
         where, values = ("", ()) if run_id is None else ("WHERE run_id = ?", (run_id,))
         found: dict[str, int] = {str(result): 0 for result in Result}
         with as_ledger_error(self.path, "read"):
@@ -132,6 +141,8 @@ class LedgerReader:
 class LedgerView(LedgerReader):
     """A ledger opened for reading only; a running cell may go on writing to it.
 
+    An older one is read through a copy in memory, brought to the present schema; the file stays as it is.
+
     Args:
         path: The file.
 
@@ -146,6 +157,9 @@ class LedgerView(LedgerReader):
             connection = _connect_for_reading(path)
             try:
                 refuse_unknown(connection, path)
+                if version_of(connection) < SCHEMA:
+                    file, connection = connection, _migrated_copy(connection)
+                    file.close()
             except BaseException:
                 connection.close()
                 raise
@@ -184,6 +198,17 @@ def _connect_for_reading(path: Path) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def _migrated_copy(connection: sqlite3.Connection) -> sqlite3.Connection:
+    copy = sqlite3.connect(":memory:", isolation_level=None)
+    try:
+        connection.backup(copy)
+        migrate(copy)
+    except BaseException:
+        copy.close()
+        raise
+    return copy
 
 
 def _csv_line(values: list[str] | list[object]) -> str:
