@@ -81,7 +81,8 @@ class Progress:
             self._ramp = 0.0
         before = self.rate
         change = step / STOP_TIME
-        self._ramp = max(0.0, self._ramp - change) if stopping else min(1.0, self._ramp + change)
+        # Cycles add up to a whole ramp but for rounding.
+        self._ramp = max(0.0, self._ramp - change - 1e-9) if stopping else min(1.0, self._ramp + change)
         moved = step * 0.5 * (before + self.rate)
         done = self.phase >= self._trajectory.duration
         self.phase = min(self._trajectory.duration, self.phase + moved)

@@ -8,13 +8,14 @@ from contextlib import contextmanager
 import numpy as np
 
 from controller.config.arm import load_arm
-from controller.domain import ArmDescription, Array, Trajectory
+from controller.domain import ArmDescription, Array
 from controller.errors import BusError
 from drivers.arm.bus import Bus
 from drivers.arm.dynamixel import DynamixelArm
 from sim_backends.plant import Plant
 from sim_backends.virtual_dynamixel.bench import IdealPlant
 from sim_backends.virtual_dynamixel.bus import VirtualBus
+from sim_backends.virtual_dynamixel.protocol import Instruction, InstructionParser
 from sim_backends.virtual_dynamixel.servo import ServoSpec
 from sim_backends.virtual_dynamixel.stream import BusStream
 
@@ -88,18 +89,46 @@ def scripted_bus(answer: Answer, baud: int = 1_000_000) -> tuple[Bus, ScriptedLi
 
 
 class PlantClock:
-    """The time of a simulated world; sleeping lets it pass."""
+    """The time of a simulated world; sleeping lets it pass.
+
+    Attributes:
+        stall: s that the next sleep takes longer than asked, as if the process had been stopped.
+    """
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
+        self.stall = 0.0
 
     def now(self) -> float:
         return self._plant.now()
 
     def sleep(self, seconds: float) -> None:
-        self._plant.advance(max(0.0, seconds))
+        stall, self.stall = self.stall, 0.0
+        self._plant.advance(max(0.0, seconds) + stall)
 
     charge = sleep
+
+
+class WireTap(BusStream):
+    """The simulated line, and every Goal_Position that went over it.
+
+    Attributes:
+        goals: (time, {servo: ticks}) of every sync write of Goal_Position.
+    """
+
+    def __init__(self, bus: VirtualBus, plant: Plant) -> None:
+        super().__init__(bus)
+        self._world = plant
+        self.goals: list[tuple[float, dict[int, int]]] = []
+
+    def write(self, data: bytes) -> None:
+        for packet in InstructionParser().feed(data):
+            if packet.instruction == Instruction.SYNC_WRITE and packet.params[:4] == b"\x74\x00\x04\x00":
+                body = packet.params[4:]
+                items = [body[at : at + 5] for at in range(0, len(body), 5)]
+                goals = {item[0]: int.from_bytes(item[1:], "little", signed=True) for item in items}
+                self.goals.append((self._world.now(), goals))
+        super().write(data)
 
 
 def virtual_bus(count: int = 5, baud: int = 1_000_000, model: str = "XM430-W350") -> tuple[Bus, VirtualBus, IdealPlant]:
@@ -129,7 +158,7 @@ class ArmBench:
         place_at_rest(self.plant, self.description)
         self.bus = VirtualBus(self.plant, specs, baud=self.description.baud)
         self.clock = PlantClock(self.plant)
-        self.stream = BusStream(self.bus)
+        self.stream = WireTap(self.bus, self.plant)
         self.arm = DynamixelArm(self.description, self.stream, self.clock)
 
     @contextmanager
@@ -142,9 +171,25 @@ class ArmBench:
         finally:
             self.arm.close()
 
-    def goal(self, joint: int) -> int:
-        """Goal_Position of a joint's servo."""
-        return self.bus.servo(self.description.joints[joint].servo_id).table.get("Goal_Position")
+    def at(self, time: float, action: Callable[[], None]) -> None:
+        """Do something when the simulated time has come."""
+        due = [time]
+
+        def on_step(_: float) -> None:
+            if due and self.plant.now() >= due[0]:
+                due.clear()
+                action()
+
+        self.plant.on_step(on_step)
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        """Do something so many seconds from now."""
+        self.at(self.plant.now() + seconds, action)
+
+    def positions(self) -> Array:
+        """Where the joints really are, rad, looked up past the bus; shadows left out."""
+        angles = [self.plant.shaft(joint.servo_id).angle for joint in self.description.joints]
+        return np.array([-a if joint.reverse else a for a, joint in zip(angles, self.description.joints, strict=True)])
 
     def register(self, servo_id: int, name: str) -> int:
         """Any register of any servo, looked up past the bus."""
@@ -171,11 +216,3 @@ def place_at_rest(plant: IdealPlant, description: ArmDescription) -> None:
         plant.place(joint.servo_id, -angle if joint.reverse else angle)
         if joint.shadow_id is not None:
             plant.place(joint.shadow_id, angle if joint.reverse else -angle)
-
-
-def quintic(start: Array, end: Array, duration: float, period: float = 0.01, name: str = "move") -> Trajectory:
-    """A move from rest to rest along a straight line in joint space; goals equal positions."""
-    share = np.linspace(0.0, 1.0, round(duration / period) + 1)[:, None]
-    smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    positions = np.asarray(start) + (np.asarray(end) - np.asarray(start)) * smooth
-    return Trajectory(name, period, positions, positions.copy())

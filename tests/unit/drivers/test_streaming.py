@@ -1,0 +1,131 @@
+"""Progress along a trajectory: it slips, slows and resumes, and never jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.domain import Trajectory
+from drivers.arm.streaming import BLEND_TIME, STANDSTILL, STOP_TIME, Progress
+from tests.contract.arm_suite import quintic
+
+PERIOD = 0.01
+
+
+def _move(duration: float = 1.0) -> Trajectory:
+    return quintic(np.zeros(2), np.array([1.0, -0.5]), duration, PERIOD)
+
+
+def _progress(trajectory: Trajectory) -> Progress:
+    return Progress(trajectory, trajectory.goals[0])
+
+
+def test_on_time_every_sample_is_sent() -> None:
+    move = _move()
+    progress = _progress(move)
+    for sample in move.goals:
+        np.testing.assert_allclose(progress.goals, sample, atol=1e-12)
+        progress.advance(PERIOD, stopping=False)
+    assert progress.at_end
+    assert progress.slipped == 0.0
+
+
+def test_between_samples_it_interpolates() -> None:
+    move = _move()
+    progress = _progress(move)
+    progress.advance(PERIOD / 4, stopping=False)
+    np.testing.assert_allclose(progress.goals, 0.75 * move.goals[0] + 0.25 * move.goals[1], atol=1e-12)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 0.5), st.booleans()), max_size=150))
+def test_it_never_jumps_and_never_goes_back(cycles: list[tuple[float, bool]]) -> None:
+    move = _move()
+    progress = _progress(move)
+    for elapsed, stopping in cycles:
+        before = progress.phase
+        progress.advance(elapsed, stopping)
+        assert 0.0 <= progress.phase - before <= min(elapsed, 2 * PERIOD) + 1e-12
+        assert 0.0 <= progress.rate <= 1.0
+
+
+def test_a_stop_takes_its_time_and_stands() -> None:
+    progress = _progress(_move())
+    for _ in range(40):
+        progress.advance(PERIOD, stopping=False)
+    began = progress.phase
+    cycles = 0
+    rates = [progress.rate]
+    while not progress.standing:
+        progress.advance(PERIOD, stopping=True)
+        rates.append(progress.rate)
+        cycles += 1
+    assert cycles == round(STOP_TIME / PERIOD)
+    # A raised cosine passes on half of its time.
+    assert progress.phase - began == pytest.approx(STOP_TIME / 2, rel=0.01)
+    assert np.all(np.diff(rates) < 0.0)
+    there = progress.goals
+    progress.advance(PERIOD, stopping=True)
+    np.testing.assert_array_equal(progress.goals, there)
+    # And on again, gently.
+    progress.advance(PERIOD, stopping=False)
+    assert 0.0 < progress.rate < 0.05
+
+
+def test_after_a_long_gap_it_starts_from_rest() -> None:
+    progress = _progress(_move())
+    for _ in range(40):
+        progress.advance(PERIOD, stopping=False)
+    progress.advance(STANDSTILL + 0.01, stopping=False)
+    assert progress.rate < 0.1
+    assert progress.slipped == pytest.approx(STANDSTILL + 0.01 - 2 * PERIOD)
+
+
+def test_a_difference_from_the_last_goal_is_led_to_zero() -> None:
+    move = _move()
+    progress = Progress(move, move.goals[0] + np.array([0.1, 0.0]))
+    np.testing.assert_allclose(progress.goals, [0.1, 0.0])
+    for _ in range(round(BLEND_TIME / PERIOD)):
+        progress.advance(PERIOD, stopping=False)
+    index = round(progress.phase / PERIOD)
+    np.testing.assert_allclose(progress.goals, move.goals[index], atol=1e-9)
+
+
+def test_a_trajectory_of_one_sample_blends_too() -> None:
+    still = Trajectory("still", PERIOD, np.zeros((1, 2)), np.zeros((1, 2)))
+    progress = Progress(still, np.array([0.05, 0.05]))
+    ended = []
+    for _ in range(round(BLEND_TIME / PERIOD) + 1):
+        ended.append(progress.at_end)
+        progress.advance(PERIOD, stopping=False)
+    ended.append(progress.at_end)
+    assert ended[0] is False
+    assert ended[-1] is True
+    np.testing.assert_allclose(progress.goals, 0.0, atol=1e-9)
+
+
+def test_rebasing_goes_on_from_where_the_joints_are() -> None:
+    progress = _progress(_move())
+    for _ in range(50):
+        progress.advance(PERIOD, stopping=False)
+    here = progress.goals - 0.07
+    progress.rebase(here)
+    np.testing.assert_allclose(progress.goals, here)
+    before = progress.goals
+    for _ in range(100):
+        progress.advance(PERIOD, stopping=False)
+        # Twice the planned speed at most: the blend comes on top of the move.
+        assert np.abs(progress.goals - before).max() < 2 * 0.01875
+        before = progress.goals
+    assert progress.at_end
+
+
+def test_freezing_stops_at_once() -> None:
+    progress = _progress(_move())
+    for _ in range(50):
+        progress.advance(PERIOD, stopping=False)
+    progress.freeze()
+    here = progress.goals
+    progress.advance(PERIOD, stopping=True)
+    np.testing.assert_array_equal(progress.goals, here)
