@@ -236,14 +236,15 @@ class ControlServer:
         """Let a worker carry a request out."""
         job = _Job(client, request, self._now())
 
-        def work() -> None:
-            reply = outcome(call)
+        reply: dict[str, object] = {}
+
+        def then() -> None:
             with self._lock:
                 self._finished.append((job, reply))
             self._ring()
 
         worker = self._reading if request.command in READING else self._changing
-        if not worker.offer(work):
+        if not worker.offer(lambda: reply.update(outcome(call)), then):
             raise BadRequest("busy", "another command is still being worked on", "ask again when it has ended")
         self._pending.add(job)
 

@@ -17,19 +17,24 @@ class Worker:
 
     def __init__(self, name: str, waiting: int) -> None:
         self._room = waiting
-        self._jobs: deque[Callable[[], None]] = deque()
+        self._jobs: deque[tuple[Callable[[], None], Callable[[], None]]] = deque()
         self._busy = False
         self._ended = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def offer(self, job: Callable[[], None]) -> bool:
-        """Hand a job over; False when there is no room, or the worker has ended."""
+    def offer(self, job: Callable[[], None], then: Callable[[], None]) -> bool:
+        """Hand a job over; False when there is no room, or the worker has ended.
+
+        Args:
+            job: Done in the worker's thread.
+            then: Called there after it, when there is room for the next.
+        """
         with self._changed:
             if self._ended or len(self._jobs) + self._busy > self._room:
                 return False
-            self._jobs.append(job)
+            self._jobs.append((job, then))
             self._changed.notify()
             return True
 
@@ -44,10 +49,12 @@ class Worker:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._busy = False
                 self._changed.wait_for(lambda: self._jobs or self._ended)
                 if self._ended:
                     return
-                job = self._jobs.popleft()
+                job, then = self._jobs.popleft()
                 self._busy = True
             job()
+            with self._changed:
+                self._busy = False
+            then()
