@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -350,3 +351,30 @@ def test_a_view_settles_nothing(path: Path) -> None:
         assert view.counts()["open"] == 1
         with pytest.raises(sqlite3.OperationalError, match="readonly"):
             view._connection.execute("INSERT INTO events (at_s, wall, kind, details) VALUES (0, '', 'x', '{}')")
+
+
+def test_threads_do_not_mix_their_records(ledger: SqliteLedger, path: Path) -> None:
+    def work(name: str) -> None:
+        for number in range(20):
+            ledger.intend(f"{name}{number}", plan(f"{name}{number}"), 1, 4.0)
+            ledger.note("tick", 4.0, name=name)
+            ledger.conclude(outcome(f"{name}{number}"))
+
+    with ThreadPoolExecutor(3) as pool:
+        for done in [pool.submit(work, name) for name in "abc"]:
+            done.result()
+    with LedgerView(path) as view:
+        assert view.counts()["placed"] == 60
+        assert len(list(view.rows("events"))) == 60
+        assert view.verify() == ()
+
+
+def test_a_reader_sees_whole_records_only_and_never_stops_the_writer(ledger: SqliteLedger, path: Path) -> None:
+    with LedgerView(path) as view:
+        reading = view.rows("runs")
+        next(reading)  # a read in progress
+        for number in range(3):
+            ledger.intend(f"t{number}", plan(f"t{number}"), 1, 4.0)
+            ledger.conclude(outcome(f"t{number}"))
+        reading.close()
+        assert view.counts()["placed"] == 3
