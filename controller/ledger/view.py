@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import TracebackType
@@ -58,7 +58,7 @@ class LedgerReader:
     ) -> None:
         self.close()
 
-    def rows(self, table: Table, run_id: int | None = None) -> Iterator[dict[str, object]]:
+    def rows(self, table: Table, run_id: int | None = None) -> Generator[dict[str, object], None, None]:
         """The records of a table, oldest first, of one run or of all; `days` counts what retention took away."""
         if table not in TABLES or (table == "days" and run_id is not None):
             raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")

@@ -99,5 +99,5 @@ class Histories(RuleBasedStateMachine):
         assert self.ledger.verify() == ()
 
 
-Histories.TestCase.settings = settings(max_examples=25, stateful_step_count=20, deadline=None)
+Histories.TestCase.settings = settings(max_examples=15, stateful_step_count=20, deadline=None)
 TestHistories = Histories.TestCase
