@@ -81,12 +81,23 @@ def search(
     if trace is not None:
         trace.update(maps_)
     pieces = [piece for item in regions if item.cue != "edge" for piece in split_necks(item, smallest)]
+    if mask is not None:
+        pieces, regions = _within(pieces, np.asarray(mask)), _within(regions, np.asarray(mask))
     regions = _distinct(regions + pieces, small.shape)
     watch.lap("propose")
     if not regions:
         return []
     centers = np.array([_center(item.contour) for item in regions])
     radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+    usable = np.isfinite(radii).all(axis=1)
+    if plane is not None:
+        # Beyond the horizon of the plane there is nothing to measure.
+        near = centers * factor + (factor - 1) / 2.0
+        usable &= np.isfinite(plane.to_plane(near)).all(axis=1)
+    regions = [item for item, use in zip(regions, usable, strict=True) if use]
+    if not regions:
+        return []
+    centers, radii = centers[usable], radii[usable]
     extent = radii.max(axis=1)
     edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
     watch.lap("rays")
@@ -140,6 +151,17 @@ def _center(contour: NDArray[np.float32]) -> Floats:
     if m["m00"] < 1e-6:
         return np.asarray(contour.mean(axis=0), np.float64)
     return np.array([m["m10"] / m["m00"], m["m01"] / m["m00"]])
+
+
+def _within(regions: list[Region], mask: NDArray[np.uint8]) -> list[Region]:
+    """Regions whose bounding box has its middle in the mask."""
+    out = []
+    for item in regions:
+        x, y, w, h = cv2.boundingRect(item.contour)
+        row, column = min(max(y + h // 2, 0), mask.shape[0] - 1), min(max(x + w // 2, 0), mask.shape[1] - 1)
+        if mask[row, column]:
+            out.append(item)
+    return out
 
 
 def _distinct(regions: list[Region], shape: tuple[int, ...]) -> list[Region]:

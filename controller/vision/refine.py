@@ -2,7 +2,7 @@
 
 Across its outline an object looks like I = B + (F - B) Phi(-d / s): d the signed distance, s the blur, Phi the
 normal distribution, F a plane over the object, B the surroundings, free for every chunk of the outline, because
-shadows, neighbours and side faces end where they like. Gauss-Newton over shape, blur and F, with B eliminated and
+shadows, neighbours and side faces end where they like. Gauss-Newton over shape and blur, with B eliminated and
 Tukey weights, on all objects at once.
 """
 
@@ -162,20 +162,19 @@ def refine(
     state = _rounds(image, noise, batch, maps, size, reach, 3)
     reach = np.minimum(np.maximum(4.0, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
     state = _rounds(image, noise, batch, maps, size, reach, 3)
-    return _verdicts(batch, state, start, size)
+    return _verdicts(batch, state, start, size, noise)
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class _State:
+    """Where the fit stands; arrays (K, CHUNKS, D) or (K, CHUNKS), in units of the noise of one pixel."""
+
     rest: Floats
     weight: Floats
     bell: Floats
-    lit: Floats
-    value: Floats
     lines: Floats
-    contrast: Floats
-    levels: Floats
-    jump: Floats
+    around: Floats
+    energy: Floats
     inner: Floats
 
 
@@ -247,15 +246,12 @@ def _rounds(
     profiles = sample(image, starts, ends, normals, reach, columns)
     local = _local(profiles, maps, batch.index)
     chord = np.linalg.norm(ends - starts, axis=2)
-    value, contrast, levels, inner = _project(profiles, noise)
-    value -= value.mean(axis=(1, 2), keepdims=True)
     # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
     spacing = np.minimum(2.0 * reach / (columns - 1), 1.0)
     lines = np.minimum(np.maximum(chord, 0.25), profiles.lines) * spacing[:, None]
-    sigma = 1.0 / np.sqrt(lines)
+    root = np.sqrt(lines)[..., None]
     free = profiles.inside & _clear_of_corners(batch, local)
-    state: _State | None = None
-    face = np.ones(3)
+    value, inner = _contrasts(profiles, local, free, noise, size)
     weight = free.astype(np.float64)
     for step in range(rounds + 1):
         dx = local[..., 0] - batch.q[:, None, None, 0]
@@ -263,61 +259,39 @@ def _rounds(
         distance, jacobian = _distance(batch, dx, dy, chord)
         blur = batch.blur[:, None, None]
         z = distance / blur
-        lit = ndtr(-z)
+        unlit = ndtr(z)
         bell = np.exp(-0.5 * z * z) / (math.sqrt(2.0 * math.pi) * blur)
-        scale = 1.0 / size[:, None, None]
-        rows = np.empty((len(batch.q), _SHAPE + 4, *distance.shape[1:]))
-        # F first: with B eliminated per chunk it is solved for along with the shape.
-        plane = np.stack([np.ones_like(dx), dx * scale, dy * scale], axis=1)
-        rows[:, _SHAPE : _SHAPE + 3] = plane * lit[:, None]
-        sqrt_w = np.sqrt(weight) / sigma[..., None]
-        dark = (1.0 - lit) * sqrt_w
+        scaled = np.sqrt(weight) * root
+        dark = unlit * scaled
         energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
-
-        def without_surroundings(item: Floats, dark: Floats = dark, energy: Floats = energy) -> Floats:
-            share = np.einsum("kcd,k...cd->k...c", dark, item, optimize=True) / energy.reshape(
-                energy.shape[0], *([1] * (item.ndim - 3)), energy.shape[1]
-            )
-            return np.asarray(item - share[..., None] * (dark if item.ndim == 3 else dark[:, None]))
-
-        target = without_surroundings(value * sqrt_w)
-        faces = without_surroundings(rows[:, _SHAPE : _SHAPE + 3] * sqrt_w[:, None])
-        flat = faces.reshape(len(batch.q), 3, -1)
-        normal = flat @ flat.transpose(0, 2, 1) + 1e-6 * np.eye(3)
-        face = np.linalg.solve(normal, (flat @ target.reshape(len(batch.q), -1, 1)))[..., 0]
-        bright = np.einsum("kp,kpcd->kcd", face, plane)
-        raw = (value - bright * lit) * sqrt_w
-        around = np.einsum("kcd,kcd->kc", dark, raw) / energy
-        rest = (raw - around[..., None] * dark) / np.maximum(sqrt_w, 1e-12) / sigma[..., None]
-        rest = np.where(weight > 0.0, rest, 0.0)
-        jump = bright - around[..., None]
-        state = _State(rest, weight, bell, lit, value, lines, contrast, levels, jump, inner)
+        around = np.einsum("kcd,kcd->kc", dark, value * scaled) / energy
+        rest = (value - around[..., None] * unlit) * root * (weight > 0.0)
+        state = _State(rest, weight, bell, lines, around, energy, inner)
         if step == rounds:
-            break
+            return state
         if step > 0:
             spread = np.maximum(1.0, 1.4826 * np.median(np.abs(rest).reshape(len(rest), -1), axis=1))
             ratio = np.minimum(np.abs(rest) / (6.0 * spread[:, None, None]), 1.0)
             weight = free * (1.0 - ratio**2) ** 2
-            sqrt_w = np.sqrt(weight) / sigma[..., None]
-        slope = -jump * bell
-        rows[:, :_SHAPE] = slope[:, None] * jacobian
-        rows[:, _SHAPE + 3] = -slope * z
-        rows *= sqrt_w[:, None]
-        dark = (1.0 - lit) * sqrt_w
-        energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
-        rows = without_surroundings(rows, dark, energy)
-        target = without_surroundings((value - bright * lit) * sqrt_w, dark, energy)
-        flat = rows.reshape(len(batch.q), _SHAPE + 4, -1)
+            scaled = np.sqrt(weight) * root
+            dark = unlit * scaled
+            energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
+        slope = around[..., None] * bell * scaled
+        rows = np.concatenate([slope[:, None] * jacobian, (-slope * z)[:, None]], axis=1)
+        target = (value - around[..., None] * unlit) * scaled
+        # B of every chunk is eliminated: only what is perpendicular to it can move the outline.
+        rows -= (np.einsum("kcd,kpcd->kpc", dark, rows) / energy[:, None])[..., None] * dark[:, None]
+        target -= (np.einsum("kcd,kcd->kc", dark, target) / energy)[..., None] * dark
+        flat = rows.reshape(len(rows), _SHAPE + 1, -1)
         normal = flat @ flat.transpose(0, 2, 1)
         trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-        normal += np.eye(_SHAPE + 4) * (1e-9 * trace + 1e-9)
-        change = np.linalg.solve(normal, flat @ target.reshape(len(batch.q), -1, 1))[..., 0]
+        normal += np.eye(_SHAPE + 1) * (1e-9 * trace + 1e-9)
+        change = np.linalg.solve(normal, flat @ target.reshape(len(rows), -1, 1))[..., 0]
         change = np.nan_to_num(change)
         batch.q += np.clip(change[:, :_SHAPE], -1.5, 1.5)
-        swing = np.clip(change[:, _SHAPE + 3], -0.4 * batch.blur, 0.6 * batch.blur)
+        swing = np.clip(change[:, _SHAPE], -0.4 * batch.blur, 0.6 * batch.blur)
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
-    assert state is not None
-    return state
+    raise AssertionError("the last round returns")
 
 
 def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floats:
@@ -327,18 +301,40 @@ def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floa
     return np.stack([maps.to_local(int(k), profiles.pixels[i]) for i, k in enumerate(index)])
 
 
-def _project(profiles: Profiles, noise: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Profiles along the colour difference that stands out of the noise best, in units of the noise."""
-    columns = profiles.values.shape[2]
+def _contrasts(
+    profiles: Profiles, local: Floats, free: NDArray[np.bool_], noise: Floats, size: Floats
+) -> tuple[Floats, Floats]:
+    """Profiles relative to the object's own colour, along each chunk's contrast, in units of the noise.
+
+    The object's colour is a plane fitted to the inner third of all profiles; what lies outside may differ from
+    chunk to chunk in any direction (table, shadow, side face, neighbour), so that each has its own projection.
+
+    Returns:
+        value (K, CHUNKS, D), 0 inside and positive outside; inner colour (K, 3), levels.
+    """
+    count, _, columns = profiles.values.shape[:3]
     third = columns // 3
-    inner = np.median(profiles.values[:, :, :third].reshape(len(profiles.values), -1, 3), axis=1)
-    outer = np.median(profiles.values[:, :, -third:].reshape(len(profiles.values), -1, 3), axis=1)
-    difference = inner - outer
-    direction = np.linalg.solve(noise, difference.T).T
-    contrast = np.sqrt(np.maximum(np.sum(difference * direction, axis=1), 1e-12))
-    direction /= contrast[:, None]
-    value = np.einsum("kcdi,ki->kcd", profiles.values, direction)
-    return value, contrast, np.sqrt(np.mean(difference**2, axis=1)), inner
+    inside = profiles.values[:, :, :third].reshape(count, -1, 3)
+    usable = free[:, :, :third].reshape(count, -1).astype(np.float64) + 1e-6
+    xy = local / size[:, None, None, None]
+    plane = np.concatenate([np.ones((*xy.shape[:3], 1)), xy], axis=3)
+    basis = plane[:, :, :third].reshape(count, -1, 3)
+    middle = np.median(inside, axis=1)
+    rest = inside - middle[:, None]
+    face = np.zeros((count, 3, 3))
+    for _ in range(2):
+        far = np.sqrt(np.sum(rest * rest, axis=2))
+        limit = np.maximum(4.0 * np.median(far, axis=1), 3.0)[:, None]
+        w = usable * (1.0 - np.minimum(far / limit, 1.0) ** 2) ** 2
+        weighted = basis * w[..., None]
+        normal = weighted.transpose(0, 2, 1) @ basis + 1e-6 * np.eye(3)
+        face = np.linalg.solve(normal, weighted.transpose(0, 2, 1) @ inside)
+        rest = inside - basis @ face
+    relative = profiles.values - plane @ face[:, None]
+    outer = relative[:, :, -third:].mean(axis=2)
+    direction = np.linalg.solve(noise, outer.reshape(-1, 3).T).T.reshape(outer.shape)
+    length = np.sqrt(np.maximum(np.sum(outer * direction, axis=2), 1e-12))
+    return np.einsum("kcdi,kci->kcd", relative, direction / length[..., None]), middle
 
 
 def _distance(batch: _Batch, dx: Floats, dy: Floats, chord: Floats) -> tuple[Floats, Floats]:
@@ -378,20 +374,18 @@ def _clear_of_corners(batch: _Batch, local: Floats) -> NDArray[np.bool_]:
     return clear
 
 
-def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats) -> list[Refined | None]:
+def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: Floats) -> list[Refined | None]:
     """Per object: misfit and visibility from the profiles that remain."""
     w = state.weight * state.lines[..., None]
-    slope = state.jump * state.bell
+    slope = state.around[..., None] * state.bell
     information = np.einsum("kcd,kcd,kcd->kc", w, slope, slope)
     deviation = np.einsum("kcd,kcd,kcd->kc", w, slope, state.rest / np.sqrt(state.lines)[..., None])
     stray = deviation / np.maximum(information, 1e-9)
     error = 1.0 / np.maximum(information, 1e-9)
-    centred = state.lit - np.einsum("kcd,kcd->kc", w, state.lit)[..., None] / np.maximum(
-        w.sum(axis=2, keepdims=True), 1e-9
-    )
-    power = np.einsum("kcd,kcd,kcd->kc", w, centred, centred)
-    step = np.einsum("kcd,kcd,kcd->kc", w, centred, state.value) / np.maximum(power, 1e-9)
-    seen = (step > np.maximum(4.0 / np.sqrt(np.maximum(power, 1e-9)), 0.15 * state.contrast[:, None])) & (power > 0.2)
+    loose = np.maximum(1.0, 0.02 * size)[:, None]
+    level = math.sqrt(float(noise.trace()) / 3.0)
+    seen = (state.around * np.sqrt(state.energy) > 5.0) & (state.around * level > 2.5) & (np.abs(stray) < loose)
+    contrast = np.median(state.around, axis=1)
     out: list[Refined | None] = []
     for i, family in enumerate(batch.families):
         q = _unpad(family, batch.q[i])
@@ -409,7 +403,7 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats) -> list
         misfit = math.sqrt(max(float(kept.mean()), 0.0))
         out.append(
             Refined(
-                q, float(batch.blur[i]), float(state.contrast[i]), float(state.levels[i]), misfit,
+                q, float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level, misfit,
                 seen[i], stray[i], state.inner[i],
             )
         )  # fmt: skip
