@@ -81,6 +81,7 @@ def _inside(region: NDArray[np.uint8], center: tuple[float, float]) -> bool:
 
 
 def _detection(frame: Frame, found: Found) -> Detection:
+    face = counter_clockwise(found.face)
     outline = counter_clockwise(found.outline)
     points = outline.astype(np.float32)
     covered = polygon_area(outline)
@@ -90,18 +91,18 @@ def _detection(frame: Frame, found: Found) -> Detection:
     if found.diameter is not None:
         size = (found.diameter, found.diameter)
         covered *= _circle_area_factor(len(outline))
-    sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
-    perimeter = float(sides.sum())
+    perimeter = float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
+    sides = np.linalg.norm(np.roll(face, -1, axis=0) - face, axis=1)
     box = high - low
     difference = 0.0 if found.shape is Shape.CIRCLE else float(abs(sides[0] - sides[1]))
     return Detection(
         frame=frame,
         shape=found.shape,
         score=found.score,
-        outline_px=outline,
+        outline_px=dense(outline),
         center_px=(float(found.center[0]), float(found.center[1])),
         size_px=(float(size[0]), float(size[1])),
-        angle=direction(found.shape, outline),
+        angle=direction(found.shape, face),
         area_px=covered,
         bbox_px=(float(low[0]), float(low[1]), float(box[0]), float(box[1])),
         descriptors=Descriptors(
@@ -148,6 +149,17 @@ def counter_clockwise(outline: Floats) -> Floats:
     x, y = outline[:, 0], outline[:, 1]
     doubled = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
     return np.ascontiguousarray(outline[::-1] if doubled > 0.0 else outline)
+
+
+def dense(outline: Floats, least: int = 32) -> Floats:
+    """The outline with every side cut into equal pieces, corners kept, at least `least` points in all."""
+    if len(outline) >= least:
+        return outline
+    side = np.roll(outline, -1, axis=0) - outline
+    length = np.linalg.norm(side, axis=1)
+    pieces = np.maximum(np.ceil(least * length / max(float(length.sum()), 1e-9)), 1).astype(int)
+    parts = [a + s * (np.arange(n) / n)[:, None] for a, s, n in zip(outline, side, pieces, strict=True)]
+    return np.concatenate(parts)
 
 
 def polygon_area(outline: Floats) -> float:

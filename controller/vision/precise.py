@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from controller.vision.shapes import (
     from_polygon,
     vertices,
 )
+from controller.vision.silhouette import measure, reach
 from controller.vision.timing import Stopwatch
 
 Floats = NDArray[np.float64]
@@ -42,14 +43,16 @@ class Found:
     Attributes:
         shape: Verdict.
         score: Confidence in [0, 1].
-        outline: ndarray of shape (N, 2), px.
-        center: (2,), px.
+        face: ndarray of shape (N, 2), px: the fitted shape's corners (a circle sampled): an object's top face.
+        outline: ndarray of shape (M, 2), px: the outer outline; the face's, unless side faces show as well.
+        center: (2,), px: the outline's centroid.
         diameter: A circle's diameter, px; None for anything else.
         flags: As for `Detection`.
     """
 
     shape: Shape
     score: float
+    face: Floats
     outline: Floats
     center: Floats
     diameter: float | None
@@ -114,9 +117,39 @@ def search(
     watch.lap("fit")
     noise = pixel_noise(image)
     image = without_spikes(image, noise)
-    found = _judge(image, settings, regions, fits, maps, noise, factor)
+    found = _judge(image, settings, regions, fits, maps, noise)
     watch.lap("refine")
+    if plane is not None and plane.height > 0.0:
+        found = _with_sides(image, noise, found, plane)
+        watch.lap("sides")
     return found
+
+
+def _with_sides(image: NDArray[np.uint8], noise: Floats, found: list[Found], plane: PlaneMap) -> list[Found]:
+    """Objects with their visible side faces as part of the outline, and without those faces as objects."""
+    areas = [abs(cv2.contourArea(item.face.astype(np.float32))) for item in found]
+    order = sorted(range(len(found)), key=lambda i: -areas[i])
+    kept: list[Found] = []
+    reaches: list[Floats] = []
+    for i in order:
+        item = found[i]
+        if any(_overlap(item.face, other) > 0.6 for other in reaches):
+            continue
+        kept.append(item)
+        reaches.append(reach(item.face, plane))
+    outlines = measure(image, noise, [item.face for item in kept], plane)
+    return [
+        replace(item, outline=outline, center=_centroid(outline), diameter=None)
+        for item, outline in zip(kept, outlines, strict=True)
+    ]
+
+
+def _centroid(outline: Floats) -> Floats:
+    """Centroid of a polygon of shape (N, 2)."""
+    m = cv2.moments((outline - outline[0]).astype(np.float32))
+    if abs(m["m00"]) < 1e-9:
+        return np.asarray(outline.mean(axis=0))
+    return np.array([m["m10"], m["m01"]]) / m["m00"] + outline[0]
 
 
 def reduction(shape: tuple[int, ...]) -> int:
@@ -261,7 +294,6 @@ def _judge(
     fits: list[list[_Hypothesis]],
     maps: LocalMaps,
     noise: Floats,
-    factor: int,
 ) -> list[Found]:
     judged: list[_Judged] = []
     blur = 1.0
@@ -343,4 +375,4 @@ def _found(item: _Judged, settings: Precise, maps: LocalMaps, shape: tuple[int, 
     low, high = item.outline.min(axis=0), item.outline.max(axis=0)
     if (low < 0.0).any() or high[0] > shape[1] - 1 or high[1] > shape[0] - 1:
         flags.add("cut_by_border")
-    return Found(verdict, score, item.outline, center_px, diameter, frozenset(flags))
+    return Found(verdict, score, item.outline, item.outline, center_px, diameter, frozenset(flags))

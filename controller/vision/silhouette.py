@@ -1,0 +1,131 @@
+"""What a camera sees of an upright part besides its top face: the sides that lean into view.
+
+The fitted shape is the top face, whose edges are all there; the outline of the part also holds the side faces,
+down to the foot. Which sides show, and how far, follows from the camera and the part's height; where exactly they
+end is measured.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.geometry import PlaneMap
+from controller.vision.profiles import sample
+
+Floats = NDArray[np.float64]
+
+POINTS = 72
+"""Points of a measured outline: 5 degrees of a circle."""
+_TALLEST = 1.5
+"""Parts are expected to be at most this much taller than typical."""
+_COLUMNS = 25
+
+
+def foot(top: Floats, plane: PlaneMap, height: float) -> Floats:
+    """Pixels (N, 2) of the points on the table below the points of a top face, given in px, at `height` (mm)."""
+    return plane.at(0.0).to_pixels(plane.at(height).to_plane(top))
+
+
+def silhouette(top: Floats, plane: PlaneMap, height: float) -> Floats:
+    """Hull (M, 2), px, of a top face and its foot."""
+    points = np.concatenate([top, foot(top, plane, height)]).astype(np.float32)
+    return np.asarray(cv2.convexHull(points)[:, 0], np.float64)
+
+
+def reach(top: Floats, plane: PlaneMap) -> Floats:
+    """Hull of everything that can be seen of a part with this top face, were it as tall as parts get."""
+    return silhouette(top, plane, 2.0 * plane.height * _TALLEST)
+
+
+def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: PlaneMap) -> list[Floats]:
+    """Outlines (POINTS, 2), px, of parts with these top faces, on the edges in the image.
+
+    The height starts as twice the plane's (parts are decided on the plane half way up) and follows the edges of
+    the foot; where no edge is to be seen the outline is the predicted one.
+    """
+    if not tops:
+        return []
+    heights = np.full(len(tops), 2.0 * plane.height)
+    for step in range(2):
+        shifts = np.array([np.linalg.norm((foot(t, plane, h) - t).mean(axis=0)) for t, h in zip(tops, heights, strict=True)])
+        window = np.clip(0.45 * shifts, 3.0, 12.0) if step == 0 else np.full(len(tops), 3.0)
+        middle, normal, length = _chunks([silhouette(t, plane, h) for t, h in zip(tops, heights, strict=True)])
+        stray, found = _edges(image, noise, middle, normal, length, window)
+        if step == 0:
+            taller = [silhouette(t, plane, h * 1.1) for t, h in zip(tops, heights, strict=True)]
+            heights = _follow(heights, middle, normal, stray, found, taller)
+    out = []
+    for k in range(len(tops)):
+        smooth = np.where(found[k], stray[k], 0.0)
+        out.append(middle[k] + smooth[:, None] * normal[k])
+    return out
+
+
+def _chunks(hulls: list[Floats]) -> tuple[Floats, Floats, Floats]:
+    """POINTS equal pieces of every hull: middles and outward normals (K, POINTS, 2), lengths (K, POINTS)."""
+    middles, normals = np.empty((len(hulls), POINTS, 2)), np.empty((len(hulls), POINTS, 2))
+    lengths = np.empty((len(hulls), POINTS))
+    for k, hull in enumerate(hulls):
+        side = np.roll(hull, -1, axis=0) - hull
+        length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+        ends = np.cumsum(length)
+        at = (np.arange(POINTS) + 0.5) / POINTS * ends[-1]
+        which = np.searchsorted(ends, at).clip(0, len(hull) - 1)
+        part = (at - (ends[which] - length[which])) / length[which]
+        middles[k] = hull[which] + side[which] * part[:, None]
+        n = np.stack([side[:, 1], -side[:, 0]], axis=1) / length[:, None]
+        if np.sum((hull - hull.mean(axis=0)) * n) < 0.0:
+            n = -n
+        normals[k] = n[which]
+        lengths[k] = ends[-1] / POINTS
+    return middles, normals, lengths
+
+
+def _edges(
+    image: NDArray[np.uint8], noise: Floats, middle: Floats, normal: Floats, length: Floats, window: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """How far outwards the outermost clear edge lies from each point, px, and whether there is one."""
+    along = np.stack([-normal[..., 1], normal[..., 0]], axis=-1) * (0.5 * length[..., None])
+    profiles = sample(image, middle - along, middle + along, normal, window + 1.0, _COLUMNS)
+    whitener = np.linalg.inv(np.linalg.cholesky(noise))
+    values = profiles.values @ whitener.T
+    spacing = 2.0 * (window + 1.0) / (_COLUMNS - 1)
+    gap = max(1, round(0.7 / float(np.median(spacing))))
+    slope = values[:, :, 2 * gap :] - values[:, :, : -2 * gap]
+    strength = np.linalg.norm(slope, axis=3)
+    # A chunk's neighbours look at the same edge.
+    strength = 0.5 * strength + 0.25 * (np.roll(strength, 1, axis=1) + np.roll(strength, -1, axis=1))
+    columns = strength.shape[2]
+    top = strength.max(axis=2, keepdims=True)
+    peak = np.zeros_like(strength, bool)
+    peak[:, :, 1:-1] = (strength[:, :, 1:-1] >= strength[:, :, :-2]) & (strength[:, :, 1:-1] > strength[:, :, 2:])
+    floor = 6.0 / np.sqrt(np.maximum(profiles.lines, 1.0))[..., None]
+    peak &= (strength > 0.4 * top) & (strength > floor)
+    outermost = columns - 1 - np.argmax(peak[:, :, ::-1], axis=2)
+    found = peak.any(axis=2)
+    k, c = np.indices(outermost.shape, sparse=True)
+    i = np.clip(outermost, 1, columns - 2)
+    a, b, d = strength[k, c, i - 1], strength[k, c, i], strength[k, c, i + 1]
+    bend = a - 2.0 * b + d
+    shift = np.where(bend < -1e-9, 0.5 * (a - d) / np.where(bend < -1e-9, bend, -1.0), 0.0)
+    at = (i + gap + np.clip(shift, -0.5, 0.5) - (_COLUMNS - 1) / 2.0) * spacing[:, None]
+    return np.asarray(at), np.asarray(found & (np.abs(at) <= window[:, None]))
+
+
+def _follow(
+    heights: Floats, middle: Floats, normal: Floats, stray: Floats, found: NDArray[np.bool_], taller: list[Floats]
+) -> Floats:
+    """Heights after the edges of the foot: a taller part's outline lies further out on the foot's side only."""
+    out = heights.copy()
+    for k, hull in enumerate(taller):
+        gain = np.array([-cv2.pointPolygonTest(hull.astype(np.float32), (float(x), float(y)), True) for x, y in middle[k]])
+        # Distance inside the taller outline: how far a tenth more height moves this point.
+        rate = np.maximum(-gain, 0.0)
+        use = found[k] & (rate > 0.3 * max(float(rate.max()), 1e-9)) & (rate > 0.15)
+        if use.sum() < 4:
+            continue
+        tenths = float(np.median(stray[k][use] / rate[use]))
+        out[k] = heights[k] * float(np.clip(1.0 + 0.1 * tenths, 0.5, _TALLEST))
+    return out
