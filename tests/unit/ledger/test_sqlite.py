@@ -249,8 +249,8 @@ def test_a_database_of_something_else_is_refused_and_left_alone(path: Path) -> N
 @pytest.mark.parametrize("damage", ["text", "page"])
 def test_a_damaged_ledger_is_set_aside_and_a_new_one_begun(path: Path, damage: str) -> None:
     with opened(path) as ledger:
-        for number in range(200):
-            ledger.note("tick", float(number), text="x" * 100)
+        for number in range(30):
+            ledger.note("tick", float(number), text="x" * 1000)
     if damage == "text":
         path.write_text("this is not a database\n" * 400, encoding="ascii")
     else:
