@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 from sim_backends.plant import Plant
 from sim_backends.virtual_dynamixel.faults import Fault, FaultInjector
+from sim_backends.virtual_dynamixel.health import ERROR_ENCODER, ERROR_OVERHEAT, ERROR_OVERLOAD
 from sim_backends.virtual_dynamixel.protocol import (
     BROADCAST,
     Fail,
@@ -24,14 +25,7 @@ from sim_backends.virtual_dynamixel.protocol import (
     fast_status_head,
     status_packet,
 )
-from sim_backends.virtual_dynamixel.servo import (
-    ERROR_ENCODER,
-    ERROR_OVERHEAT,
-    ERROR_OVERLOAD,
-    HOUSEKEEPING,
-    ServoSpec,
-    VirtualServo,
-)
+from sim_backends.virtual_dynamixel.servo import HOUSEKEEPING, ServoSpec, VirtualServo
 
 BAUD_RATES = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 """Bit rates by Baud_Rate code."""
@@ -126,7 +120,7 @@ class VirtualBus:
         elif fault is Fault.OVERLOAD:
             servo.fail(ERROR_OVERLOAD)
         elif fault is Fault.OVERHEAT:
-            servo.temperature = servo.table.get("Temperature_Limit") + 1.0
+            servo.health.temperature = servo.table.get("Temperature_Limit") + 1.0
             servo.fail(ERROR_OVERHEAT)
         elif fault is Fault.UNDERVOLTAGE:
             servo.set_supply(servo.table.get("Min_Voltage_Limit") / 10 - 0.5)

@@ -7,11 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim_backends.virtual_dynamixel.models import ServoModel
+from sim_backends.virtual_dynamixel.models import POSITION_MODE, ServoModel
 from sim_backends.virtual_dynamixel.protocol import Fail
-from sim_backends.virtual_dynamixel.registers import EEPROM, READ_ONLY, Register, register_table
+from sim_backends.virtual_dynamixel.registers import (
+    EEPROM,
+    POSITION_LIMIT_EXTENDED,
+    READ_ONLY,
+    Register,
+    register_table,
+)
 
 Writes = list[tuple[Register, int]]
+
+GOALS = frozenset({"Goal_PWM", "Goal_Current", "Goal_Velocity", "Goal_Position"})
+_LIMITED = {"Goal_PWM": "PWM_Limit", "Goal_Current": "Current_Limit", "Goal_Velocity": "Velocity_Limit"}
 
 
 class ControlTable:
@@ -129,6 +138,39 @@ class ControlTable:
             if register.high is not None and value > register.high:
                 return Fail.DATA_RANGE, []
         return Fail.NONE, writes
+
+    def check_values(self, writes: Writes, tripped: bool, shut_down: bool) -> Fail:
+        """Whether values fit the other registers and the servo's state.
+
+        Assumption: values beyond a limit register answer Data Limit (6), values beyond the register's own
+        range Data Range (4).
+
+        Args:
+            writes: What `parse_write` gave.
+            tripped: The bus watchdog has tripped: goals are refused.
+            shut_down: A hardware error has taken the torque off until a reboot.
+        """
+        for register, value in writes:
+            name = register.name
+            if tripped and name in GOALS:
+                return Fail.DATA_RANGE
+            if name == "Operating_Mode" and value not in self.model.modes:
+                return Fail.DATA_RANGE
+            if name == "Torque_Enable" and value and shut_down:
+                return Fail.ACCESS
+            if name in _LIMITED and abs(value) > self.get(_LIMITED[name]):
+                return Fail.DATA_LIMIT
+            if name == "Goal_Position" and (fail := self.check_goal_position(value)):
+                return fail
+        return Fail.NONE
+
+    def check_goal_position(self, value: int) -> Fail:
+        """Whether a goal is within the limits: the limit registers count in position mode only."""
+        memory = self.memory
+        if memory[11] != POSITION_MODE:
+            return Fail.NONE if abs(value) <= POSITION_LIMIT_EXTENDED else Fail.DATA_RANGE
+        lowest, highest = memory[52] | memory[53] << 8, memory[48] | memory[49] << 8  # 0..4095
+        return Fail.NONE if lowest <= value <= highest else Fail.DATA_LIMIT
 
     def store(self, register: Register, value: int) -> None:
         """Store a value that has been checked."""

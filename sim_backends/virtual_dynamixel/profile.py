@@ -10,6 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+SPEED_UNIT = 0.229 / 60 * 4096
+"""ticks/s per unit of Profile_Velocity (0.229 rev/min)."""
+RAMP_UNIT = 214.577 / 3600 * 4096
+"""ticks/s^2 per unit of Profile_Acceleration (214.577 rev/min^2)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -95,3 +100,24 @@ def timed(now: float, position: float, velocity: float, goal: float, duration: f
     cruise = (goal - position - 0.5 * velocity * ramp) / (duration - ramp)
     steps = [(ramp, (cruise - velocity) / ramp), (duration - 2.0 * ramp, 0.0), (ramp, -cruise / ramp)]
     return _chain(now, position, velocity, steps, goal)
+
+
+def plan(now: float, position: float, velocity: float, goal: float, speed: int, ramp: int, time_based: bool) -> Profile:
+    """The profile that the registers ask for.
+
+    Assumption: every write of a goal plans anew, also when the goal is the old one.
+
+    Args:
+        now: s.
+        position: Where the running profile, or the servo, is, ticks.
+        velocity: Of the running profile, ticks/s.
+        goal: Ticks.
+        speed: Profile_Velocity, not 0.
+        ramp: Profile_Acceleration.
+        time_based: Drive_Mode bit 2: both registers are milliseconds.
+    """
+    if time_based:
+        return timed(now, position, velocity, goal, speed * 1e-3, ramp * 1e-3)
+    if ramp:
+        return trapezoidal(now, position, velocity, goal, speed * SPEED_UNIT, ramp * RAMP_UNIT)
+    return rectangular(now, position, goal, speed * SPEED_UNIT)
