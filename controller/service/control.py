@@ -333,7 +333,8 @@ def _listen(path: Path, group: int | None) -> socket.socket:
                 path.unlink()
         with address_of(path) as address:
             line.bind(address)
-        if group is not None:
+        # The unit's system call filter has no chown: there the service's own group is already the right one.
+        if group not in (None, path.stat().st_gid):
             os.chown(path, -1, group)
         path.chmod(0o600 if group is None else 0o660)
         line.listen(2 * MAX_CLIENTS)
