@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration, calibrate_camera
 from controller.calibration.table import calibrate_table
+from controller.cli.output import stdout
 from controller.errors import InputError
 from controller.vision.read import read_image
 
@@ -77,6 +77,6 @@ def _report(result: dict[str, Any], out: Path | None, as_json: bool) -> None:
     grid = Table("figure", "value", box=None, pad_edge=False)
     for key, value in result.items():
         grid.add_row(key, json.dumps(value))
-    Console().print(grid)
+    stdout().print(grid)
     if out is not None:
         print(f"written to {out}")

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from controller.backends import nominal_camera
+from controller.cli.output import stdout
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
@@ -66,7 +66,7 @@ def show(config: ConfigFile = None, as_json: AsJson = False) -> None:
     table = Table("key", "value", box=None, pad_edge=False)
     for key, value in _flat(cell.model_dump(mode="json")):
         table.add_row(key, json.dumps(value))
-    Console().print(table)
+    stdout().print(table)
 
 
 @app.command()

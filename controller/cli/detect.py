@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.table import TableCalibration
+from controller.cli.output import stderr, stdout
 from controller.domain import CellCalibration, Detection, Frame, LocatedObject
 from controller.errors import InputError
 from controller.localization.locate import locate
@@ -52,7 +52,7 @@ def detect(
         raise InputError("--camera and --table belong together", "give both, or neither")
     failed = 0
     files = _files(images)
-    shown = track(files, "looking", console=Console(stderr=True), disable=len(files) < 3 or not sys.stderr.isatty())
+    shown = track(files, "looking", console=stderr(), disable=len(files) < 3 or not sys.stderr.isatty())
     for index, path in enumerate(shown, 1):
         try:
             frame = Frame(index, 0.0, read_image(path), str(path))
@@ -135,7 +135,7 @@ def _table(result: dict[str, Any]) -> None:
     title = f"{result['image']}: {len(objects)} object{'' if len(objects) == 1 else 's'}"
     metric = any("center_mm" in item for item in objects)
     columns = ["shape", "score", "centre px", "angle deg", "size px", "flags"]
-    console = Console()
+    console = stdout()
     console.print(f"{title}, {result['timing_ms']['total']:.1f} ms", soft_wrap=True)
     if not objects:
         return

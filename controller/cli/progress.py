@@ -45,7 +45,7 @@ class Progress(Observer):
 
     def say(self, line: str) -> None:
         """One lasting line."""
-        self._console.print(line, highlight=False, markup=False)
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def entered(self, state: State, at: float) -> None:
         """Show the state."""

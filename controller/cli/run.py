@@ -12,11 +12,11 @@ from types import FrameType
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from controller.backends import Level, Mode
 from controller.cli.config import default_config
+from controller.cli.output import stderr, stdout
 from controller.cli.progress import Progress
 from controller.config.cell import CellConfig, load_cell
 from controller.domain import PickPlan
@@ -52,7 +52,7 @@ def run(
     """
     mode = _mode(sim, replay, real_time)
     cell = _cell(config, mode, arm, speed)
-    progress = Progress(Console(stderr=True))
+    progress = Progress(stderr())
     session = Session(
         RunOptions(
             mode=mode,
@@ -132,7 +132,7 @@ def _table(figures: dict[str, Any]) -> None:
     grid = Table(box=None, show_header=False, pad_edge=False)
     for name, value in rows(figures):
         grid.add_row(name, value)
-    console = Console()
+    console = stdout()
     console.print(grid)
     if figures.get("correct") is not None:
         console.print(f"{figures['correct']} of {figures['parts']} parts lie in the right bin.")

@@ -37,6 +37,12 @@ class _Interrupted(Exception):
 class Sorter:
     """Runs the cycle on a rig until it is stopped, faulted, or (when asked) nothing is left to pick.
 
+    Attributes:
+        machine: The cell's state.
+        fault: The first fault, or None.
+        left: Objects seen by the last look and not dealt with since.
+        cycle_times: From look to retreat, s, one for every part taken to a bin.
+
     Args:
         rig: The cell.
         until_empty: Stop when the table is empty or nothing on it can be picked.
@@ -47,7 +53,7 @@ class Sorter:
         self.rig = rig
         self.machine = CellMachine()
         self.fault: SorterError | None = None
-        self.left: tuple[LocatedObject, ...] = ()
+        self.left = 0
         self.cycle_times: list[float] = []
         self._until_empty = until_empty
         self._most_parts = most_parts
@@ -154,7 +160,7 @@ class Sorter:
             observer.looked(look)
         self._others = tuple(named)
         self._queue = self._candidates(named)
-        self.left = tuple(named)
+        self.left = len(named) + len(found.refused)
         return "located" if self._queue else "emptied"
 
     def _pick(self) -> str:
@@ -202,6 +208,7 @@ class Sorter:
             if target.attempts >= self.rig.config.cycle.attempts:
                 self._conclude(target, Result.DROPPED, dropped)
         else:
+            self.left -= 1
             self._filled[plan.bin.name] += 1
             rejected = plan.bin.name == self.rig.config.sorting.otherwise
             self._conclude(target, Result.REJECTED if rejected else Result.PLACED, f"in {plan.bin.name}")

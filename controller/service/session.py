@@ -63,6 +63,10 @@ class Session:
     def __init__(self, options: RunOptions) -> None:
         self.options = options
         self._config = options.config
+        if options.mode is Mode.REPLAY:
+            # The next picture shows the next table: everything in this one is worked off first.
+            cycle = options.config.cycle.model_copy(update={"picks_per_look": 100})
+            self._config = options.config.model_copy(update={"cycle": cycle})
         self._stop = threading.Event()
         self._sorter: Sorter | None = None
 
@@ -125,9 +129,8 @@ class Session:
                 self._sorter.request_stop()
             began, began_wall = devices.clock.now(), monotonic()
             self._sorter.run()
-            last = self._last_look(rig, looks)
             ledger.end_run(f"fault: {self._sorter.fault}" if self._sorter.fault else "stopped")
-            report = self._head(arm) | statistics.summary(last, self._sorter.cycle_times)
+            report = self._head(arm) | statistics.summary(self._sorter.left, self._sorter.cycle_times)
             report |= {
                 "calibration_s": round(calibration_s, 3),
                 "sim_s": round(devices.clock.now() - began, 3),
@@ -194,10 +197,6 @@ class Session:
         self.options.say("STOPPED: everything is ready and nothing moves; run with --start to sort")
         self._stop.wait()
         return False
-
-    def _last_look(self, rig: Rig, looks: LastLooks) -> int:
-        """Objects left on the table, seen by the last look of the run."""
-        return len(looks.last.located) + len(looks.last.refused) if looks.last is not None else 0
 
     def _write(self, folder: Path, report: dict[str, Any], looks: LastLooks) -> None:
         pictures = {}

@@ -1,0 +1,239 @@
+"""The cycle at work on a bench: every way a target can end, and every way a run can."""
+
+from __future__ import annotations
+
+import pytest
+
+from controller.cycle.machine import State
+from controller.domain import LocatedObject, Result, Shape
+from controller.errors import ArmError, CameraEnded, CameraLost, LedgerError, MotionTimeout
+from tests.unit.cycle.bench import Bench, moved, part
+
+S = State
+
+
+def test_one_part_walks_through_every_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    sorter = bench.run()
+    look = [S.CAPTURE, S.DETECT, S.LOCALIZE]
+    assert bench.states == [S.HOMING, *look, S.PICK, S.PLACE, *look, S.IDLE, S.STOPPED]
+    assert bench.results == [Result.PLACED]
+    assert bench.commands == [
+        "energise", "home", "grip", "approach", "grip", "carry", "grip", "retreat", "clear_stop", "park", "relax",
+    ]  # fmt: skip
+    assert sorter.fault is None
+    assert sorter.left == 0
+
+
+def test_intent_is_on_record_before_motion_and_the_outcome_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.on_command = lambda command: bench.ledger.lines.append(("arm", str(command.get("name", command["command"]))))
+    bench.run()
+    order = [what for _, what in bench.ledger.lines]
+    assert order.index("home") < order.index("t1/1") < order.index("approach")
+    assert order.index("retreat") < order.index("t1:placed") < order.index("park")
+
+
+def test_every_shape_goes_to_its_bin_and_the_rest_to_the_rejects(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -100, Shape.SQUARE), part(0, 100, Shape.CIRCLE), part(20, 0, Shape.OTHER))
+    bench.run()
+    assert {(o.target.shape, o.plan.bin.name, o.result) for o in bench.outcomes if o.plan} == {
+        (Shape.SQUARE, "squares", Result.PLACED),
+        (Shape.CIRCLE, "circles", Result.PLACED),
+        (Shape.OTHER, "rejects", Result.REJECTED),
+    }
+
+
+def test_what_no_rule_names_may_be_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0, Shape.OTHER))
+    bench.change("sorting", otherwise="leave")
+    assert bench.run().left == 1
+    assert bench.outcomes == []
+
+
+@pytest.mark.parametrize(
+    "thing", [part(-150, 0), part(0, 0, score=0.3), part(0, 0, size=90.0)], ids=["outside", "unsure", "too wide"]
+)
+def test_what_cannot_be_picked_is_left_and_nothing_approaches_it(
+    monkeypatch: pytest.MonkeyPatch, thing: LocatedObject
+) -> None:
+    bench = Bench(monkeypatch, thing)
+    assert bench.run().left == 1
+    assert "approach" not in bench.commands
+
+
+def test_a_missed_grasp_is_tried_again_with_a_new_look_and_then_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    for _ in range(3):
+        bench.arm.grip_result(contact=False, opening=50.0)
+        bench.arm.grip_result(contact=False, opening=32.0)
+        bench.arm.grip_result(contact=False, opening=50.0)
+    done: list[int] = []
+
+    def take_away_after_three(command: dict[str, object]) -> None:
+        if command.get("name") == "home":
+            done.append(1)
+            if len(done) == 4:
+                bench.table.clear()
+
+    bench.on_command = take_away_after_three
+    bench.run()
+    assert bench.results == [Result.GRASP_MISSED]
+    assert bench.outcomes[0].attempts == 3
+    assert bench.states.count(S.DETECT) == 4
+    assert [what for kind, what in bench.ledger.lines if kind == "intend"] == ["t1/1", "t1/2", "t1/3"]
+
+
+def test_a_part_gone_after_a_missed_grasp_is_indeterminate(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.grip_result(contact=False, opening=50.0)
+    bench.arm.grip_result(contact=False, opening=32.0)
+    bench.on_command = lambda c: bench.table.clear() if c.get("name") == "approach" else None
+    bench.run()
+    assert bench.results == [Result.INDETERMINATE]
+
+
+def test_a_dropped_part_is_found_again_and_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+
+    def drop(command: dict[str, object]) -> None:
+        if command.get("name") == "carry" and len(bench.states) < 8:
+            bench.arm._opening = 32.0  # the part slips out and the jaws close
+            bench.table[0] = moved(bench.table[0], 10, 90)
+
+    bench.on_command = drop
+    sorter = bench.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.outcomes[0].attempts == 2
+    assert bench.outcomes[0].target.center == (10.0, 90.0)
+    assert sorter.left == 0
+
+
+def test_a_dropped_part_that_is_nowhere_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+
+    def drop(command: dict[str, object]) -> None:
+        if command.get("name") == "carry":
+            bench.arm._opening = 32.0
+            bench.table.clear()
+
+    bench.on_command = drop
+    bench.run()
+    assert bench.results == [Result.DROPPED]
+
+
+@pytest.mark.parametrize("during", ["home", "approach", "carry", "retreat"])
+def test_a_stop_parks_the_arm_wherever_it_comes(monkeypatch: pytest.MonkeyPatch, during: str) -> None:
+    bench = Bench(monkeypatch, part(0, 0), part(0, 90))
+    bench.arm.open()
+    sorter = bench.sorter()
+    bench.on_command = lambda c: sorter.request_stop() if c.get("name") == during else None
+    sorter.run()
+    assert bench.states[-1] is S.STOPPED
+    assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
+    assert bench.results == ([] if during == "home" else [Result.ABORTED])
+    begun = [what for kind, what in bench.ledger.lines if kind == "intend"]
+    assert len(begun) == len(bench.results)
+
+
+def test_the_first_fault_latches_and_the_arm_is_made_safe(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    error = MotionTimeout("arm", "follow", "the elbow does not move")
+    bench.arm.fail_on("follow", 3, error, fraction=0.5)
+    sorter = bench.run()
+    assert sorter.fault is error
+    assert bench.states[-1] is S.FAULT
+    assert bench.results == [Result.INDETERMINATE]
+    assert bench.commands[-2:] == ["park", "relax"]
+
+
+def test_an_arm_that_cannot_be_parked_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.fail_on("follow", 2, ArmError("arm", "follow", "lost"), fraction=0.5)
+    bench.arm.fail_on("follow", 3, ArmError("arm", "follow", "lost"))
+    sorter = bench.run()
+    assert sorter.fault is not None
+    assert "relax" not in bench.commands
+    assert ("note", "park_failed") in bench.ledger.lines
+
+
+def test_nothing_moves_for_a_part_that_cannot_be_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+
+    def fill(command: dict[str, object]) -> None:
+        if command.get("name") == "home":
+            bench.ledger.full = LedgerError("disk full")
+
+    bench.on_command = fill
+    sorter = bench.run()
+    assert isinstance(sorter.fault, LedgerError)
+    assert "approach" not in bench.commands
+
+
+def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 2
+    bench.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.states.count(S.HELD) == 2
+    assert bench.camera.opened == 2
+
+
+def test_a_camera_that_stays_away_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 20
+    sorter = bench.run()
+    assert isinstance(sorter.fault, CameraLost)
+    assert bench.clock.now() < 60.0
+
+
+def test_the_end_of_a_replay_is_an_ordinary_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch)
+    bench.camera.failures = [CameraEnded("replay", "read", "the pictures have ended")]
+    assert bench.run().fault is None
+    assert bench.states[-1] is S.STOPPED
+
+
+def test_the_operator_may_refuse_a_pick(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+
+    def refuse(plan: object) -> bool:
+        bench.table.clear()
+        return False
+
+    bench.confirm = refuse
+    bench.run()
+    assert bench.results == [Result.SKIPPED]
+    assert "approach" not in bench.commands
+
+
+def test_a_full_bin_suspends_its_parts_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -80), part(0, 0), part(0, 80, Shape.CIRCLE))
+    squares = bench.config.bins[0].model_copy(update={"capacity": 1})
+    bench.config = bench.config.model_copy(update={"bins": (squares, *bench.config.bins[1:])})
+    assert bench.run().left == 1
+    assert sorted(o.target.shape for o in bench.outcomes) == [Shape.CIRCLE, Shape.SQUARE]
+
+
+def test_several_parts_may_be_picked_from_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -90), part(0, 0), part(0, 90))
+    bench.change("cycle", picks_per_look=2)
+    bench.run()
+    assert bench.results == [Result.PLACED] * 3
+    assert bench.states.count(S.DETECT) == 3
+
+
+def test_a_run_ends_after_the_wanted_number_of_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -90), part(0, 0), part(0, 90))
+    bench.most_parts = 2
+    assert bench.run().left == 1
+    assert bench.results == [Result.PLACED] * 2
+
+
+def test_the_same_run_commands_the_same_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    benches = []
+    for _ in range(2):
+        bench = Bench(monkeypatch, part(0, -90), part(0, 60))
+        bench.run()
+        benches.append(bench)
+    benches[1].arm.assert_commands(benches[0].arm.commands)
