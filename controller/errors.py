@@ -90,6 +90,10 @@ class CameraLost(CameraError):
     """The camera is gone: unplugged, or it cannot be opened."""
 
 
+class PictureUnusable(CameraError):
+    """Frames come, but what they show cannot be trusted: black, overexposed, frozen or cut short."""
+
+
 class CameraEnded(CameraLost):
     """A replayed camera has shown its last picture: the end of the run, not a failure of a device."""
 

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from controller.config.arm import load_arm
+from controller.vision.watch import WatchedCamera
 from drivers.camera.v4l2 import V4l2Camera
 from drivers.clock import MonotonicClock
+from sim_backends.faulty_camera import FaultyCamera
 from sim_backends.replay_camera import ReplayCamera
 from sim_backends.virtual_clock import VirtualClock
 from tests.contract.camera_suite import CameraCell, CameraSuite
@@ -22,15 +24,30 @@ from tests.fake_capture import FakeCapture
 SIZE = (64, 48)
 
 
+@pytest.fixture
+def replay(tmp_path: Path) -> CameraCell:
+    """Eight pictures of noise."""
+    chance = np.random.default_rng(1)
+    for number in range(8):
+        picture = chance.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
+        assert cv2.imwrite(str(tmp_path / f"{number}.png"), picture)
+    clock = VirtualClock(5.0)
+    return CameraCell(ReplayCamera(tmp_path, clock), clock, SIZE)
+
+
 class TestReplayCamera(CameraSuite):
     @pytest.fixture
-    def cell(self, tmp_path: Path) -> Iterator[CameraCell]:
-        for number in range(8):
-            assert cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((SIZE[1], SIZE[0], 3), number, np.uint8))
-        clock = VirtualClock(5.0)
-        camera = ReplayCamera(tmp_path, clock)
-        yield CameraCell(camera, clock, SIZE)
-        camera.close()
+    def cell(self, replay: CameraCell) -> CameraCell:
+        return replay
+
+
+class TestWatchedCamera(CameraSuite):
+    """Watching, and a script without faults, change nothing."""
+
+    @pytest.fixture
+    def cell(self, replay: CameraCell) -> CameraCell:
+        clock = replay.clock
+        return CameraCell(WatchedCamera(FaultyCamera(replay.camera, clock, []), clock), clock, SIZE)
 
 
 class TestV4l2CameraOnAScriptedDevice(CameraSuite):

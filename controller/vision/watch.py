@@ -1,0 +1,117 @@
+"""Looks at every picture before anybody trusts it: a dead picture must hold the cell, not empty its table.
+
+A black or frozen frame looks like an empty table or like one where nothing has changed; both would be believed.
+What a device can tell about itself (loss, stall, age) is the driver's affair; here only the content counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Frame
+from controller.errors import FrameStale, PictureUnusable
+from controller.ports import Camera, Clock
+
+# Of 255: a lit table is brighter than this at its brightest hundredth, the noise of a covered lens is not.
+DARK = 32
+# Of 255: a pixel all of whose channels reach this has lost its colour and its edges.
+CLIPPED = 254
+# A picture of which more than this part is clipped has lost its outlines with it.
+MOST_CLIPPED = 0.5
+# Rows that an incomplete JPEG leaves at least, one block high, in the middle grey of missing coefficients.
+TORN_ROWS = 16
+_GREY = (124, 132)
+# Every so manieth pixel in both directions is enough to judge by, and a sixteenth of the work.
+_STEP = 4
+
+
+class WatchedCamera:
+    """A camera whose pictures are judged before they are given out; itself a camera.
+
+    Args:
+        camera: The camera.
+        clock: The cell's clock.
+        repeats: So many pictures in a row that are equal to the bit are no coincidence but a frozen stream: the
+            noise of a sensor never repeats.
+
+    Attributes:
+        torn: Pictures passed over because a part was missing.
+    """
+
+    def __init__(self, camera: Camera, clock: Clock, repeats: int = 3) -> None:
+        self._camera = camera
+        self._clock = clock
+        self._repeats = repeats
+        self._last: NDArray[np.uint8] | None = None
+        self._equal = 1
+        self.torn = 0
+
+    def open(self) -> None:
+        """Open the camera; what was seen before no longer counts."""
+        self._camera.open()
+        self._last, self._equal = None, 1
+
+    def close(self) -> None:
+        """Close the camera."""
+        self._camera.close()
+
+    def capture(self, after: float, timeout: float = 2.0) -> Frame:
+        """The newest frame whose exposure began at or after `after` and that shows something.
+
+        Raises:
+            PictureUnusable: It is black, overexposed or frozen, or no whole one came within `timeout` s.
+            FrameStale, CameraLost: As the camera says.
+        """
+        deadline = self._clock.now() + timeout
+        torn_before = self.torn
+        while True:
+            try:
+                frame = self._camera.capture(after, max(0.0, deadline - self._clock.now()))
+            except FrameStale as error:
+                if self.torn == torn_before:
+                    raise
+                cause = "the lower part of every picture is missing"
+                raise PictureUnusable(error.device, "look", cause, "check the cable and the USB hub") from error
+            if not is_torn(frame.image):
+                self._judge(frame)
+                return frame
+            self.torn += 1
+            after = frame.captured_at
+
+    def _judge(self, frame: Frame) -> None:
+        sample = frame.image[::_STEP, ::_STEP]
+        if is_black(sample):
+            raise PictureUnusable(frame.source, "look", "the picture is black", "check the light and the lens cap")
+        if is_clipped(sample):
+            raise PictureUnusable(
+                frame.source, "look", "most of the picture is overexposed", "shade the light or lower the exposure"
+            )
+        repeated = self._last is not None and np.array_equal(sample, self._last)
+        self._equal = self._equal + 1 if repeated else 1
+        # A copy, so that the frame itself is not kept alive.
+        self._last = sample.copy()
+        if self._equal >= self._repeats:
+            raise PictureUnusable(
+                frame.source,
+                "look",
+                f"the camera is frozen: {self._equal} pictures in a row are equal to the bit",
+                "unplug it and plug it in again",
+            )
+
+
+def is_black(sample: NDArray[np.uint8]) -> bool:
+    """Even the brightest hundredth of a picture, shape (H, W, 3), is dark."""
+    return float(np.percentile(sample.max(axis=2), 99.0)) < DARK
+
+
+def is_clipped(sample: NDArray[np.uint8]) -> bool:
+    """Most pixels of a picture, shape (H, W, 3), have every channel at its end."""
+    return float(np.mean(sample.min(axis=2) >= CLIPPED)) > MOST_CLIPPED
+
+
+def is_torn(image: NDArray[np.uint8]) -> bool:
+    """The last rows of a picture, shape (H, W, 3), are one flat middle grey, as decoders fill what is missing."""
+    bottom = image[-TORN_ROWS:, ::_STEP]
+    low, high = int(bottom.min()), int(bottom.max())
+    return low == high and _GREY[0] <= low <= _GREY[1]

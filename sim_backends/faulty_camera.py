@@ -1,0 +1,106 @@
+"""A camera that fails by script: every fault of a camera, without unplugging one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Frame
+from controller.errors import CameraLost, FrameStale
+from controller.ports import Camera, Clock
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFault:
+    """What goes wrong, and when.
+
+    Attributes:
+        kind: `lost` (gone: no frame, and opening fails), `stalled` (no frame comes), `frozen` (the last picture
+            comes again and again), or a name of `PICTURE_FAULTS`.
+        begins: s of the cell's clock.
+        ends: s of the cell's clock.
+    """
+
+    kind: str
+    begins: float
+    ends: float
+
+
+def _torn(image: Image) -> Image:
+    out = image.copy()
+    out[len(out) // 2 :] = 128
+    return out
+
+
+PICTURE_FAULTS: Mapping[str, Callable[[Image], Image]] = {
+    "black": np.zeros_like,
+    "overexposed": lambda image: cv2.convertScaleAbs(image, alpha=10.0).astype(np.uint8, copy=False),
+    "dimmed": lambda image: cv2.convertScaleAbs(image, alpha=0.5).astype(np.uint8, copy=False),
+    "blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 6.0).astype(np.uint8, copy=False),
+    "torn": _torn,
+}
+_KINDS = frozenset({"lost", "stalled", "frozen", *PICTURE_FAULTS})
+
+
+class FaultyCamera:
+    """A camera that works but for its faults; the first that is due counts.
+
+    Args:
+        camera: The sound camera.
+        clock: The cell's clock.
+        faults: The script.
+
+    Raises:
+        ValueError: There is no such fault.
+    """
+
+    def __init__(self, camera: Camera, clock: Clock, faults: Iterable[CameraFault]) -> None:
+        self._camera = camera
+        self._clock = clock
+        self._faults = tuple(faults)
+        for fault in self._faults:
+            if fault.kind not in _KINDS:
+                raise ValueError(f"no camera fault {fault.kind!r}; there are {', '.join(sorted(_KINDS))}")
+        self._shown: Image | None = None
+
+    def open(self) -> None:
+        """Open the camera, unless it is gone."""
+        self._refuse_if_lost("open")
+        self._camera.open()
+
+    def close(self) -> None:
+        """Close the camera."""
+        self._camera.close()
+
+    def capture(self, after: float, timeout: float = 2.0) -> Frame:
+        """A frame of the camera, spoiled by the fault that is due when it would be exposed."""
+        self._refuse_if_lost("capture")
+        began = self._clock.now()
+        if self._due("stalled", max(after, began)):
+            self._clock.sleep(timeout)
+            raise FrameStale("faulty camera", "capture", f"no frame within {timeout:g} s")
+        frame = self._camera.capture(after, timeout)
+        self._refuse_if_lost("capture")
+        image = frame.image
+        if self._due("frozen", frame.captured_at) and self._shown is not None:
+            image = self._shown
+        for kind, spoil in PICTURE_FAULTS.items():
+            if self._due(kind, frame.captured_at):
+                image = spoil(image)
+        image.setflags(write=False)
+        self._shown = image
+        return dataclasses.replace(frame, image=image)
+
+    def _due(self, kind: str, at: float) -> bool:
+        return any(fault.kind == kind and fault.begins <= at < fault.ends for fault in self._faults)
+
+    def _refuse_if_lost(self, operation: str) -> None:
+        if self._due("lost", self._clock.now()):
+            raise CameraLost("faulty camera", operation, "the camera is gone", "plug it in")
