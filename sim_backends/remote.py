@@ -260,6 +260,11 @@ class RemoteTruth:
         """Touches of the arm with what it should not touch, so far."""
         return int(self._connection.ask("collisions")[0]["count"])
 
+    def portrait(self) -> NDArray[np.uint8]:
+        """A picture of the whole cell for people, (H, W, 3); holds up the world, so ask for it at rest."""
+        header, body = self._connection.ask("portrait")
+        return np.frombuffer(body, np.uint8).reshape(header["shape"])
+
     def set_aside(self) -> None:
         """Take all parts off the table, e.g. to calibrate."""
         self._connection.ask("set_aside")

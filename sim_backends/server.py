@@ -104,6 +104,10 @@ class ServedCell(Protocol):
         """Touches so far."""
         ...
 
+    def portrait(self) -> NDArray[np.uint8]:
+        """A picture of the whole cell for people."""
+        ...
+
     def set_aside(self) -> None:
         """Take the parts off the table."""
         ...
@@ -133,6 +137,7 @@ class PhysicsCell:
         self.beat = CameraBeat(PERIOD, EXPOSURE, self._cell.imperfections.latency)
         self.truth = self._cell.truth
         self.truth_at = self._cell.truth_at
+        self.portrait = self._cell.overview
         self.set_aside = self._cell.set_aside
         self.scatter = self._cell.scatter
         self._easel = _fork(self._paint_for_others)
@@ -227,6 +232,10 @@ class Bench:
         """None."""
         return 0
 
+    def portrait(self) -> NDArray[np.uint8]:
+        """There is nothing to see."""
+        raise CameraLost("camera", "portrait", "a bench of servos has no camera")
+
     def set_aside(self) -> None:
         """There is nothing."""
 
@@ -275,7 +284,7 @@ class CellServer:
         """Accept clients until `ending` is set or nobody has been there for the idle limit; then clean up."""
         last_seen = time.monotonic()
         try:
-            while not self.ending.is_set():
+            while not self.ending.is_set() and self._line.alive:
                 with self._guard:
                     present = bool(self._clients)
                 now = time.monotonic()
@@ -347,6 +356,10 @@ class CellServer:
                 return {"parts": [part_to_json(part) for part in parts]}, b""
             case "collisions":
                 return {"count": line.call(cell.collisions)}, b""
+            case "portrait":
+                # Painted where the physics runs, which it holds up: for a cell at rest.
+                picture = np.ascontiguousarray(line.call(cell.portrait))
+                return {"shape": list(picture.shape)}, picture.data.cast("B")
             case "set_aside":
                 line.call(cell.set_aside)
             case "scatter":

@@ -139,11 +139,15 @@ class VirtualBus:
 
     def _survey(self) -> None:
         """Note who has which ID and who needs attention; called when a servo has changed."""
-        self._by_id = {servo.table.get("ID"): servo for servo in self._servos}
+        self._by_id: dict[int, VirtualServo] = {}
         self._shadows: dict[int, list[VirtualServo]] = {}
+        self._doubled: set[int] = set()
         for servo in self._servos:
-            secondary = servo.table.get("Secondary_ID")
-            if secondary <= 252 and secondary != servo.table.get("ID"):
+            own, secondary = servo.table.get("ID"), servo.table.get("Secondary_ID")
+            if self._by_id.setdefault(own, servo) is not servo:
+                self._doubled.add(own)
+                self._shadows.setdefault(own, []).append(servo)
+            if secondary <= 252 and secondary != own:
                 self._shadows.setdefault(secondary, []).append(servo)
         self._busy = [servo for servo in self._servos if servo.busy]
         self._watch = min((servo.watch for servo in self._servos if servo.watch), default=math.inf)
@@ -232,6 +236,9 @@ class VirtualBus:
         begin = self._line_free + servo.table.memory[9] * 2e-6
         self._line_free = begin + len(packet) * 10.0 / self.host_baud
         arrival = self._line_free
+        if servo_id in self._doubled:
+            # Two servos talk at once; nobody can read the end of it.
+            packet = packet[:-2] + bytes(byte ^ 0xFF for byte in packet[-2:])
         if self._latency:
             arrival = math.ceil(arrival / self._latency) * self._latency
         if self.faults.active:

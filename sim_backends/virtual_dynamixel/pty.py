@@ -74,6 +74,11 @@ class PtyBus:
         return str(self._link) if self._link else self._terminal
 
     @property
+    def alive(self) -> bool:
+        """The bus is served."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
     def offset(self) -> float:
         """Monotonic wall clock minus the plant's time, s."""
         return self._offset

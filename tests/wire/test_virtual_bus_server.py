@@ -96,6 +96,9 @@ class Picturesque(Bench):
         assert abs(at - self.plant.now()) < 60.0  # asked in the world's own time, not the client's
         return (PART,)
 
+    def portrait(self) -> NDArray[np.uint8]:
+        return np.full((2, 3, 3), 9, np.uint8)
+
     def set_aside(self) -> None:
         self.on_table = False
 
@@ -163,6 +166,7 @@ def test_the_ports_work_through_the_socket(cell: Picturesque, path: str) -> None
     assert list(truth.now()) == []
     truth.scatter()
     assert list(truth.now()) == [PART]
+    assert truth.portrait().tolist() == np.full((2, 3, 3), 9).tolist()
     assert truth.collisions() == 0
     assert truth.servo(1)["torque"] is False
     for remote in (camera, presenter, truth):

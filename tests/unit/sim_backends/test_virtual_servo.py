@@ -243,6 +243,46 @@ def test_velocity_mode_turns_at_the_goal_velocity_with_a_ramp() -> None:
     assert client.read("Present_Velocity") == pytest.approx(-100, abs=2)
 
 
+def test_velocity_mode_accelerates_as_told() -> None:
+    client, plant, _ = rig(Operating_Mode=1)
+    client.write("Torque_Enable", 1)
+    client.write("Profile_Acceleration", 10)  # 10 * 0.3745 rad/s^2
+    start = plant.now()
+    client.write("Goal_Velocity", 200)
+    plant.advance(start + 0.8 - plant.now())
+    # The ramp is at 3.0 rad/s. The integral part lags by what the back-EMF asks of it per second:
+    # 0.851 Nm s/rad * 3.745 rad/s^2 / (1920 / 65536 / ms per unit of 0.02398 rad/s = 5.66 Nm/rad).
+    assert plant.shaft(1).velocity == pytest.approx(3.0 - 0.851 * 3.745 / 5.66, abs=0.05)
+
+
+@pytest.mark.parametrize(("mode", "goal"), [(3, ("Goal_Position", 2500)), (16, ("Goal_PWM", 300))])
+def test_a_goal_wakes_the_servo_where_drive_mode_says_so(mode: int, goal: tuple[str, int]) -> None:
+    client, plant, bus = rig(Drive_Mode=8, Operating_Mode=mode)
+    assert client.read("Torque_Enable") == 0
+    client.write(*goal)
+    assert client.read("Torque_Enable") == 1
+    assert client.read(goal[0]) == goal[1]
+    plant.advance(0.1)
+    assert plant.shaft(1).angle > 0.1
+    bus.strike(Fault.OVERLOAD, 1)
+    client.write(*goal)
+    assert client.read("Torque_Enable") == 0
+
+
+def test_a_derivative_gain_brakes_as_its_scaling_says() -> None:
+    client, plant, _ = rig("XL430-W250")
+    client.write("Torque_Enable", 1)
+    client.write("Profile_Velocity", 30)  # 469 ticks/s
+    client.write("Position_D_Gain", 4000)
+    client.write("Position_P_Gain", 640)
+    client.write("Goal_Position", 4000)
+    plant.advance(1.0)
+    # At constant speed the derivative of the error vanishes; P makes up for the back-EMF alone:
+    # 0.235 Nm s/rad * 0.719 rad/s / 5.52 Nm/rad = 20 ticks of lag.
+    lag = client.read("Position_Trajectory") - client.read("Present_Position")
+    assert lag == pytest.approx(0.2348 * 0.7194 / 5.522 / TICK, abs=2)
+
+
 def test_pwm_mode_reaches_the_no_load_speed() -> None:
     client, plant, _ = rig("XL430-W250", Operating_Mode=16)
     client.write("Torque_Enable", 1)
