@@ -25,7 +25,7 @@ from drivers.arm.control_table import (
 from drivers.arm.servos import Servo, check_hardware
 
 _WRITE_ATTEMPTS = 3
-_ALIGNED_TICKS = 4  # a shadow nearer than this to its partner is left as it is: 0.35 degrees
+_ALIGNED_TICKS = 8  # a shadow nearer than this to its partner is left as it is: 0.7 degrees, backlash included
 _REBOOT_TIME = 0.5  # s after which a restarted servo is asked again
 _REBOOT_PINGS = 10
 
@@ -36,24 +36,27 @@ def take_inventory(bus: Bus, servos: Sequence[Servo]) -> dict[int, Identity]:
     """Ping every servo and compare its model; an alert is no absence.
 
     Raises:
-        BusError: code `timeout` (servos missing, all of them named) or `refused` (wrong models).
+        BusError: code `timeout` (servos missing, all of them named), `corrupt` (perhaps two servos share an ID)
+            or `refused` (wrong models).
     """
     found: dict[int, Identity] = {}
     missing, wrong = [], []
+    code, remedy = "timeout", "check the 12 V supply, the cables from servo to servo, IDs and baud rate"
     for servo in servos:
         try:
             identity = bus.ping(servo.servo_id)
         except BusError as error:
             if error.code == "lost":
                 raise
-            missing.append(f"{servo.title}: {error.code}")
+            missing.append(servo.title)
+            if error.code == "corrupt":
+                code, remedy = error.code, error.remedy
             continue
         found[servo.servo_id] = identity
         if identity.model_number != servo.model.number:
             wrong.append(f"{servo.title} is {model_name(identity.model_number)}, not {servo.model.name}")
     if missing:
-        remedy = "check the 12 V supply, the cables from servo to servo, IDs and baud rate"
-        raise BusError(bus.name, "inventory", "timeout", "no answer from " + ", ".join(missing), remedy)
+        raise BusError(bus.name, "inventory", code, "no good answer from " + ", ".join(missing), remedy)
     if wrong:
         raise BusError(bus.name, "inventory", "refused", "; ".join(wrong), "choose the right --arm, or correct the IDs")
     return found
@@ -113,10 +116,14 @@ def _write_eeprom(bus: Bus, servo: Servo, wanted: Mapping[str, int]) -> list[str
 def _align_shadow(bus: Bus, servo: Servo) -> list[str]:
     """Make a shadow read the same angle as its partner, so that the two do not fight over one joint.
 
+    A pair that holds torque is left alone: it would have to let go.
+
     Raises:
         BusError: They are further apart than Homing_Offset can make good.
     """
     assert servo.shadow_of is not None
+    if bus.read_register(servo.servo_id, "Torque_Enable"):
+        return []
     apart = bus.read_register(servo.shadow_of, "Present_Position") - bus.read_register(
         servo.servo_id, "Present_Position"
     )

@@ -261,11 +261,10 @@ class Bus:
         self, servo_id: int, instruction: int, parameters: bytes, size: int, operation: str, retries: int
     ) -> Reply:
         with self._lock:
-            code = "timeout"
+            garbage = self.statistics.skipped_bytes
             for attempt in range(1 + retries):
                 self.statistics.retries += attempt > 0
                 self._wait_out_late((servo_id,))
-                corrupt_before = self.statistics.corrupt
                 self._send(servo_id, instruction, parameters)
                 found = self._collect([servo_id], size)
                 if found:
@@ -276,7 +275,7 @@ class Bus:
                         )
                     return Reply(error, found[0].data)
                 self._missed(servo_id)
-                code = "corrupt" if self.statistics.corrupt > corrupt_before else "timeout"
+            code = "corrupt" if self.statistics.skipped_bytes > garbage else "timeout"
             cause, remedy = _FAILURES[code]
             raise BusError(self.name, operation, code, cause, remedy)
 

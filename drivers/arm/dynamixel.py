@@ -183,8 +183,6 @@ class DynamixelArm:
             if stop_requested():
                 return MoveReport(False, state, 0.0)
             with body.watched():
-                # A watchdog that had tripped in between has changed what the joints were told last.
-                check_start(body, trajectory, state)
                 return Follower(body, trajectory, state, stop_requested).run()
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:

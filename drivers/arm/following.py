@@ -20,8 +20,8 @@ from drivers.arm.streaming import Progress
 START_TOLERANCE = 0.05
 """Largest distance of a joint from a trajectory's start, rad: sag and joint offsets stay below, other poses not."""
 
-GOAL_STEP_LIMIT = 0.15
-"""Largest distance of a trajectory's first goal from the last one sent, rad: an offset, not another pose."""
+OFFSET_LIMIT = 0.15
+"""Largest distance of a trajectory's first goal from the joint, rad: an offset, not another pose."""
 
 FOLLOWING_LIMIT = 0.30
 """Largest distance of a joint from its path, rad: an XM430 asks for its whole stall torque at 0.22."""
@@ -53,15 +53,15 @@ def check_trajectory(body: Body, trajectory: Trajectory) -> None:
 
 
 def check_start(body: Body, trajectory: Trajectory, state: ArmState) -> None:
-    """Compare a trajectory's start with where the arm stands and what it was told last.
+    """Compare a trajectory's start with where the arm stands.
 
     Raises:
         LimitViolation: They differ.
     """
     from_pose = np.abs(trajectory.positions[0] - state.positions)
-    from_goal = np.abs(trajectory.goals[0] - body.goals)
+    from_goal = np.abs(trajectory.goals[0] - state.positions)
     for joint, pose, goal in zip(body.joints, from_pose, from_goal, strict=True):
-        if pose > START_TOLERANCE or goal > GOAL_STEP_LIMIT:
+        if pose > START_TOLERANCE or goal > OFFSET_LIMIT:
             cause = f"{trajectory.name}: {joint.name} stands {np.degrees(max(pose, goal)):.1f} deg from its start"
             raise LimitViolation(cause, "plan from the present pose")
 
@@ -104,6 +104,7 @@ class Follower:
             stopping = self._failure is not None or self._stop_requested()
             if progress.at_end or (stopping and progress.standing):
                 if self._failure is not None:
+                    body.send_goals(progress.goals)
                     raise self._failure
                 ended_at = clock.now() if ended_at is None else ended_at
                 settled = settled + 1 if news and self._speeds.max() <= _SETTLED_SPEED else 0
@@ -136,8 +137,10 @@ class Follower:
         self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)
         if self._failure is None and self._astray.max() >= _FOLLOWING_CYCLES:
             index = int(self._astray.argmax())
-            # The way is blocked: any further goal would push harder.
-            self._progress.freeze()
+            # The way is blocked: stop at once, and let go what stands off its goal before it overloads.
+            offset = self._progress.goals - self._progress.positions
+            held = np.where(self._astray > 0, self._present + offset, self._progress.goals)
+            self._progress.rebase(held)
             cause = f"is {np.degrees(error[index]):.0f} deg off its path"
             remedy = "clear the way, then reset"
             self._failure = MotionTimeout(joints[index].title, self._trajectory.name, cause, remedy)

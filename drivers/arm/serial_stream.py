@@ -63,9 +63,11 @@ class SerialStream:
         if not hasattr(select, "poll"):
             raise BusError(self._path, "open", "refused", "serial ports need Linux or macOS", "run with --sim here")
         try:
-            # The lock keeps out programs that ask for it, TIOCEXCL everyone but root.
+            # The lock keeps out programs that ask for it, TIOCEXCL everyone but root. On a pseudo-terminal, which
+            # its other end keeps open, TIOCEXCL would outlive a killed process.
             self._port = serial.Serial(self._path, baud, timeout=0, exclusive=True)
-            fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
+            if not str(Path(self._path).resolve()).startswith("/dev/pts/"):
+                fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
             self._port.reset_input_buffer()
             self._poll = select.poll()
             self._poll.register(self._port.fileno(), select.POLLIN)
@@ -91,8 +93,6 @@ class SerialStream:
         """Release the port; harmless when not open."""
         port, self._port, self._poll = self._port, None, None
         if port is not None:
-            with contextlib.suppress(*PORT_ERRORS):
-                fcntl.ioctl(port.fileno(), termios.TIOCNXCL)
             with contextlib.suppress(*PORT_ERRORS):
                 port.close()
 

@@ -88,10 +88,6 @@ class Progress:
         self.phase = min(self._trajectory.duration, self.phase + moved)
         self._blended += step if done else moved
 
-    def freeze(self) -> None:
-        """Stop at once: the way ahead is blocked."""
-        self._ramp = 0.0
-
     def rebase(self, goals: Array) -> None:
         """Go on from other goals (rad), at rest: what the servos were told last is no longer in force."""
         self._carry = goals - self._sample(self._trajectory.goals)

@@ -87,7 +87,9 @@ def _obstruct(bench: ArmBench, width: float | None) -> None:
     bench.plant.block(gripper.servo_id, *sorted((sign * low, sign * high)))
 
 
-class _WallClock:
+class WallClock:
+    """The machine's own time."""
+
     now = staticmethod(time.monotonic)
     sleep = staticmethod(time.sleep)
 
@@ -102,7 +104,7 @@ class TestDynamixelOnPty(ArmSuite):
         from sim_backends.virtual_dynamixel.pty import PtyBus
 
         bench = ArmBench("reactorx_150")
-        clock = _WallClock()
+        clock = WallClock()
 
         def during(call: Callable[[], object], seconds: float, action: Callable[[], None]) -> object:
             in_a_thread(call, clock, seconds, action)

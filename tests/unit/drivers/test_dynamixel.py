@@ -204,7 +204,7 @@ def test_a_servo_that_restarts_in_mid_move_ends_it() -> None:
         assert arm.follow(_move(bench)).finished
 
 
-def test_a_blocked_joint_ends_the_move_and_is_not_pushed_further() -> None:
+def test_a_blocked_joint_ends_the_move_and_is_let_go() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
         stuck = bench.plant.shaft(WAIST).angle
@@ -214,7 +214,12 @@ def test_a_blocked_joint_ends_the_move_and_is_not_pushed_further() -> None:
             arm.follow(_move(bench, 2.0))
         _, ticks = _goals(bench)
         # Five cycles at the move's top speed of 0.75 rad/s beyond the limit.
-        assert (ticks[-1] - ticks[0]) / TICKS_PER_RAD < 0.1 + FOLLOWING_LIMIT + 6 * 0.0075
+        assert (ticks.max() - ticks[0]) / TICKS_PER_RAD < 0.1 + FOLLOWING_LIMIT + 6 * 0.0075
+        # In the end it is told to stay where it is: no overload while somebody comes to look.
+        assert (ticks[-1] - ticks[0]) / TICKS_PER_RAD == pytest.approx(0.1, abs=STANDS)
+        bench.plant.advance(3.0)
+        here = arm.state().positions
+        assert arm.follow(quintic(here, here - np.array([0.1, 0.0, 0.0, 0.0, 0.0]), 0.5)).finished
 
 
 def test_moves_survive_a_bad_line() -> None:
@@ -333,6 +338,15 @@ def test_foreign_settings_are_put_right(register: str, value: int) -> None:
     with bench.ready() as arm:
         assert np.abs(arm.state().positions - bench.description.rest).max() < STANDS
         assert arm.follow(_move(bench)).finished
+
+
+def test_a_bus_that_only_garbles_points_at_shared_ids() -> None:
+    bench = ArmBench()
+    bench.bus.faults.once(Fault.CORRUPT, ELBOW, count=3)
+    with pytest.raises(BusError, match="elbow") as caught:
+        bench.arm.open()
+    assert caught.value.code == "corrupt"
+    assert "same ID" in caught.value.remedy
 
 
 def test_missing_servos_are_all_named() -> None:

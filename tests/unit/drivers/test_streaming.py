@@ -119,13 +119,3 @@ def test_rebasing_goes_on_from_where_the_joints_are() -> None:
         assert np.abs(progress.goals - before).max() < 2 * 0.01875
         before = progress.goals
     assert progress.at_end
-
-
-def test_freezing_stops_at_once() -> None:
-    progress = _progress(_move())
-    for _ in range(50):
-        progress.advance(PERIOD, stopping=False)
-    progress.freeze()
-    here = progress.goals
-    progress.advance(PERIOD, stopping=True)
-    np.testing.assert_array_equal(progress.goals, here)
