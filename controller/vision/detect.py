@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 
 import cv2
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from controller.domain import Descriptors, Detection, Frame, Shape
 from controller.geometry import PlaneMap, wrap
 from controller.vision.morphology import Component
-from controller.vision.precise import Found, search
+from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
 from controller.vision.stages import classified, margin, run_stages
 from controller.vision.timing import Stopwatch
+from controller.vision.verdict import Found
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def detect(
     plane: PlaneMap | None = None,
     background: NDArray[np.uint8] | None = None,
     region: NDArray[np.uint8] | None = None,
-    trace: dict[str, NDArray[np.generic]] | None = None,
+    trace: MutableMapping[str, NDArray[np.generic]] | None = None,
 ) -> Detected:
     """Objects in a frame; an empty table gives an empty tuple.
 

@@ -22,13 +22,13 @@ _GRID = 32.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Averaged profiles of K outlines.
+    """Averaged profiles of the C chunks of K outlines.
 
     Attributes:
-        values: ndarray of shape (K, CHUNKS, D, 3), BGR levels.
-        pixels: ndarray of shape (K, CHUNKS, D, 2): mean position of the samples, px.
-        lines: ndarray of shape (K, CHUNKS): lines averaged, about the chunk's length in px.
-        inside: ndarray of shape (K, CHUNKS, D), bool: the sample lies within the picture.
+        values: ndarray of shape (K, C, D, 3), BGR levels.
+        pixels: ndarray of shape (K, C, D, 2): mean position of the samples, px.
+        lines: ndarray of shape (K, C): lines averaged, about the chunk's length in px.
+        inside: ndarray of shape (K, C, D), bool: the sample lies within the picture.
     """
 
     values: Floats
@@ -44,9 +44,9 @@ def sample(
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8.
-        starts: ndarray of shape (K, CHUNKS, 2), px: where each chunk begins.
-        ends: ndarray of shape (K, CHUNKS, 2), px: where it ends.
-        normals: ndarray of shape (K, CHUNKS, 2), unit, outward.
+        starts: ndarray of shape (K, C, 2), px: where each chunk begins.
+        ends: ndarray of shape (K, C, 2), px: where it ends.
+        normals: ndarray of shape (K, C, 2), unit, outward.
         reach: ndarray of shape (K,): how far the profiles go to either side, px.
         columns: Samples of a profile, D.
     """

@@ -34,12 +34,14 @@ class Region:
         area: Its area there.
         cue: `level`, `chroma`, `edge` or `split`.
         convex: The region's area over its hull's.
+        core: It is what lies above half of the strength of its surroundings, not all that stands out.
     """
 
     contour: Floats32
     area: float
     cue: str
     convex: float
+    core: bool = False
 
 
 def propose(white: Whitened, level: float, smallest: float) -> tuple[list[Region], dict[str, NDArray[np.float32]]]:
@@ -95,7 +97,7 @@ def _components(image: Floats32, level: float, smallest: float, cue: str) -> lis
     half = np.where(np.bincount(names, minlength=count) >= smallest, 0.5 * own, np.inf).astype(np.float32)
     half[0] = np.inf
     core = ((image > half[labels]) & (mask > 0)).astype(np.uint8)
-    return _contours(core, smallest, cue) + _contours(mask, smallest, cue)
+    return _contours(core, smallest, cue, core=True) + _contours(mask, smallest, cue)
 
 
 def _edge_regions(edges: Floats32, smallest: float) -> list[Region]:
@@ -146,7 +148,7 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     return np.asarray(hull + by * both / length, np.float32)
 
 
-def _contours(mask: Mask, smallest: float, cue: str) -> list[Region]:
+def _contours(mask: Mask, smallest: float, cue: str, core: bool = False) -> list[Region]:
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
     for contour in contours:
@@ -158,7 +160,7 @@ def _contours(mask: Mask, smallest: float, cue: str) -> list[Region]:
         if area < smallest:
             continue
         hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
-        out.append(Region(points, area, cue, min(1.0, area / hull)))
+        out.append(Region(points, area, cue, min(1.0, area / hull), core))
     return out
 
 

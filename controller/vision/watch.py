@@ -6,6 +6,7 @@ What a device can tell about itself (loss, stall, age) is the driver's affair; h
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,7 +81,8 @@ class WatchedCamera:
             after = frame.captured_at
 
     def _judge(self, frame: Frame) -> None:
-        sample = frame.image[::_STEP, ::_STEP]
+        # A copy, so that the frame itself is not kept alive.
+        sample = np.ascontiguousarray(frame.image[::_STEP, ::_STEP])
         if is_black(sample):
             raise PictureUnusable(frame.source, "look", "the picture is black", "check the light and the lens cap")
         if is_clipped(sample):
@@ -89,8 +91,7 @@ class WatchedCamera:
             )
         repeated = self._last is not None and np.array_equal(sample, self._last)
         self._equal = self._equal + 1 if repeated else 1
-        # A copy, so that the frame itself is not kept alive.
-        self._last = sample.copy()
+        self._last = sample
         if self._equal >= self._repeats:
             raise PictureUnusable(
                 frame.source,
@@ -101,13 +102,19 @@ class WatchedCamera:
 
 
 def is_black(sample: NDArray[np.uint8]) -> bool:
-    """Even the brightest hundredth of a picture, shape (H, W, 3), is dark."""
-    return float(np.percentile(sample.max(axis=2), 99.0)) < DARK
+    """Not even a hundredth of a picture, shape (H, W, 3), is lit in any channel."""
+    return _part(sample, 0, DARK - 1) > 0.99
 
 
 def is_clipped(sample: NDArray[np.uint8]) -> bool:
     """Most pixels of a picture, shape (H, W, 3), have every channel at its end."""
-    return float(np.mean(sample.min(axis=2) >= CLIPPED)) > MOST_CLIPPED
+    return _part(sample, CLIPPED, 255) > MOST_CLIPPED
+
+
+def _part(sample: NDArray[np.uint8], low: int, high: int) -> float:
+    """The part of the pixels whose channels all lie in [low, high]."""
+    inside = cv2.inRange(sample, np.full(3, low), np.full(3, high))
+    return cv2.countNonZero(inside) / inside.size
 
 
 def is_torn(image: NDArray[np.uint8]) -> bool:

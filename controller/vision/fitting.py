@@ -1,0 +1,102 @@
+"""First fits of every family to the edges around every region: good to a fraction of a pixel of the searched image."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from controller.vision.rays import DIRECTIONS
+from controller.vision.shapes import (
+    CIRCLE,
+    FAMILIES,
+    HEXAGON,
+    RECTANGLE,
+    TRIANGLE,
+    Family,
+    area,
+    edge_residuals,
+    fit_edges,
+    from_polygon,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One family fitted to the edges around one region.
+
+    Attributes:
+        region: Which region.
+        family: Which family.
+        q: Its parameters, local coordinates.
+        cost: Clipped distance of the edges, 0 (all on the outline) to 1.
+        inliers: Share of rays with an edge on the outline.
+        size: Root of the outline's area.
+    """
+
+    region: int
+    family: Family
+    q: Floats
+    cost: float
+    inliers: float
+    size: float
+
+
+def fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> list[list[Hypothesis]]:
+    """For every region, its fits to all families, best first."""
+    starts: dict[Shape, list[Floats]] = {shape: [] for shape in FAMILIES}
+    for hull in hulls:
+        for shape, start in _starts(hull).items():
+            starts[shape].append(start)
+    relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
+    relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0)
+    out: list[list[Hypothesis]] = [[] for _ in hulls]
+    for family in FAMILIES.values():
+        q = np.array(starts[family.shape])
+        size = np.sqrt(np.maximum(area(family, q), 1.0))
+        scale = np.maximum(0.5 * factor, 0.008 * size)
+        q = fit_edges(family, q, edges, relative, scale)
+        distance, strength = edge_residuals(family, q, edges, relative)
+        size = np.sqrt(np.maximum(area(family, q), 1.0))
+        tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
+        near = np.abs(distance) < tolerance
+        valid = strength > 0.15
+        inliers = np.mean(near & valid, axis=1)
+        clipped = np.where(valid, np.minimum(np.abs(distance), tolerance), tolerance)
+        cost = np.sqrt(np.mean(clipped**2, axis=1)) / tolerance[:, 0]
+        for i in range(len(hulls)):
+            if np.isfinite(q[i]).all():
+                out[i].append(Hypothesis(i, family, q[i], float(cost[i]), float(inliers[i]), float(size[i])))
+    for hypotheses in out:
+        hypotheses.sort(key=lambda h: h.cost)
+    return out
+
+
+def _starts(hull: Floats) -> dict[Shape, Floats]:
+    """Rough parameters of every family for one convex outline."""
+    points = hull.astype(np.float32)
+    (cx, cy), (w, h), turn = cv2.minAreaRect(points)
+    m = cv2.moments(points)
+    covered = max(m["m00"], 1.0)
+    center = np.array([m["m10"], m["m01"]]) / m["m00"] if m["m00"] > 1e-6 else hull.mean(axis=0)
+    rectangle = np.array([cx, cy, max(w, 1.0) / 2, max(h, 1.0) / 2, math.radians(turn)])
+    circle = np.array([*center, math.sqrt(covered / math.pi)])
+    # The sixth harmonic of the support function points at the sides' normals.
+    reach = (hull - center) @ DIRECTIONS.T
+    support = reach.max(axis=0)
+    turns = np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0])
+    phase = np.angle(np.sum(support * np.exp(6j * turns)))
+    hexagon = np.array([*center, math.sqrt(covered / (2.0 * math.sqrt(3.0))), phase / 6.0 + math.pi / 6.0])
+    # Three far corners of the hull: the farthest from the centre, from that, and from the line between both.
+    first = hull[np.argmax(np.sum((hull - center) ** 2, axis=1))]
+    second = hull[np.argmax(np.sum((hull - first) ** 2, axis=1))]
+    along = second - first
+    third = hull[np.argmax(np.abs((hull[:, 0] - first[0]) * along[1] - (hull[:, 1] - first[1]) * along[0]))]
+    triangle = from_polygon(np.stack([first, second, third]))
+    return {CIRCLE.shape: circle, HEXAGON.shape: hexagon, RECTANGLE.shape: rectangle, TRIANGLE.shape: triangle}

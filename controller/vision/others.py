@@ -1,0 +1,137 @@
+"""Objects of no known shape: regions that nothing explains, with a sharp edge all around."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.vision.profiles import sample
+from controller.vision.proposals import Region
+
+Floats = NDArray[np.float64]
+
+_POINTS = 96
+_COLUMNS = 17
+_SEEN = 0.85
+"""Share of the outline that must be seen as a sharp edge."""
+
+
+def other_objects(
+    image: NDArray[np.uint8],
+    noise: Floats,
+    regions: Sequence[Region],
+    factor: int,
+    known: Sequence[Floats],
+    hidden: Sequence[int],
+    blur: float,
+    minimum_contrast: float,
+    smallest: float,
+) -> tuple[list[tuple[Floats, float]], set[int]]:
+    """Outlines (N, 2), px, and scores of objects that no known outline explains.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8.
+        noise: Covariance of its pixel noise.
+        regions: The proposed regions.
+        factor: How many times smaller the searched image is.
+        known: Outlines already accepted, px.
+        hidden: Which of them are pieces of one colour with something else.
+        blur: Typical blur of the frame's edges, px.
+        minimum_contrast: Smallest step believed, levels.
+        smallest: Smallest width worth reporting, px.
+
+    Returns:
+        The objects, and which of `known` are only pieces of them.
+    """
+    candidates = [
+        item.contour.astype(np.float64) * factor + (factor - 1) / 2.0
+        for item in sorted(regions, key=lambda item: item.area)
+        if item.cue in ("level", "chroma") and item.core and item.area * factor**2 >= 0.5 * smallest**2
+    ]
+    kept, merged = [], set()
+    for contour in candidates:
+        polygon = contour.astype(np.float32)
+        covered = abs(float(cv2.contourArea(polygon)))
+        inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
+        pieces = {i for i in inside if i in hidden}
+        explained = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside if i not in pieces)
+        if any(_contains(outline.astype(np.float32), _middle(polygon)) for i, outline in enumerate(known) if i not in pieces):
+            continue
+        if explained > 0.25 * covered:
+            continue
+        kept.append(contour)
+        merged |= pieces
+    if not kept:
+        return [], set()
+    outlines, seen = _on_edges(image, noise, kept, blur, minimum_contrast)
+    chosen: list[tuple[Floats, float]] = []
+    for outline, share in sorted(zip(outlines, seen, strict=True), key=lambda pair: -pair[1]):
+        if share < _SEEN:
+            continue
+        polygon = outline.astype(np.float32)
+        # Two cues may both propose it.
+        if any(
+            _contains(polygon, _middle(o.astype(np.float32))) or _contains(o.astype(np.float32), _middle(polygon))
+            for o, _ in chosen
+        ):
+            continue
+        chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN)))
+    return chosen, merged if chosen else set()
+
+
+def _contains(polygon: NDArray[np.float32], point: Floats) -> bool:
+    return cv2.pointPolygonTest(polygon, (float(point[0]), float(point[1])), False) > 0.0
+
+
+def _middle(polygon: NDArray[np.float32]) -> Floats:
+    return np.asarray(polygon.mean(axis=0), np.float64)
+
+
+def _on_edges(
+    image: NDArray[np.uint8], noise: Floats, contours: list[Floats], blur: float, minimum_contrast: float
+) -> tuple[list[Floats], list[float]]:
+    """Contours moved onto the nearest sharp edge, and the share of each where there is one."""
+    count = len(contours)
+    points = np.stack([_even(contour) for contour in contours])
+    ahead, back = np.roll(points, -1, axis=1), np.roll(points, 1, axis=1)
+    tangent = ahead - back
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=2, keepdims=True), 1e-9)
+    normal = np.stack([tangent[..., 1], -tangent[..., 0]], axis=2)
+    areas = 0.5 * np.sum(points[..., 0] * ahead[..., 1] - ahead[..., 0] * points[..., 1], axis=1)
+    normal *= np.sign(areas)[:, None, None]
+    window = np.full(count, max(4.0, 3.0 * blur))
+    half = 0.25 * (ahead - back)
+    profiles = sample(image, points - half, points + half, normal, window, _COLUMNS)
+    values = profiles.values @ np.linalg.inv(np.linalg.cholesky(noise)).T
+    spacing = 2.0 * window[0] / (_COLUMNS - 1)
+    slope = np.linalg.norm(values[:, :, 2:] - values[:, :, :-2], axis=3) / (2.0 * spacing)
+    step = values[:, :, :4].mean(axis=2) - values[:, :, -4:].mean(axis=2)
+    height = np.linalg.norm(step, axis=2)
+    best = slope.argmax(axis=2)
+    top = slope.max(axis=2)
+    # The steepest slope of an edge of blur s and height h is h / (s sqrt(2 pi)).
+    width = height / np.maximum(top * math.sqrt(2.0 * math.pi), 1e-9)
+    level = math.sqrt(float(noise.trace()) / 3.0)
+    clear = height * np.sqrt(profiles.lines) > 6.0
+    seen = clear & (height * level > minimum_contrast) & (width < 2.2 * max(blur, 0.7) + 0.6)
+    at = (best + 1 - (_COLUMNS - 1) / 2.0) * spacing
+    at = np.where(seen, at, 0.0)
+    at = np.median(np.stack([np.roll(at, i, axis=1) for i in (-1, 0, 1)]), axis=0)
+    moved = points + at[..., None] * normal
+    return list(moved), [float(share) for share in seen.mean(axis=1)]
+
+
+def _even(contour: Floats) -> Floats:
+    """The contour smoothed a little and sampled at _POINTS equal distances."""
+    if len(contour) > 12:
+        contour = 0.25 * np.roll(contour, 1, axis=0) + 0.5 * contour + 0.25 * np.roll(contour, -1, axis=0)
+    side = np.roll(contour, -1, axis=0) - contour
+    length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+    ends = np.cumsum(length)
+    at = np.arange(_POINTS) / _POINTS * ends[-1]
+    which = np.searchsorted(ends, at, side="right").clip(0, len(contour) - 1)
+    return np.asarray(contour[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])

@@ -1,0 +1,304 @@
+"""Which outlines are believed, what they are called, and which of overlapping ones stay."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from controller.geometry import PlaneMap
+from controller.vision.background import Whitened
+from controller.vision.fitting import Hypothesis
+from controller.vision.local_map import LocalMaps
+from controller.vision.others import other_objects
+from controller.vision.proposals import Region
+from controller.vision.recipe import Precise
+from controller.vision.refine import Refined, refine
+from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, area, vertices
+from controller.vision.silhouette import foot, measure, reach
+from controller.vision.timing import Stopwatch
+
+Floats = NDArray[np.float64]
+
+_TABLE = 2.3
+"""Median strength, in standard deviations of the table, below which a face looks like the table (1.5 is typical)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """One judged outline, in pixels of the frame.
+
+    Attributes:
+        shape: Verdict.
+        score: Confidence in [0, 1].
+        face: ndarray of shape (N, 2), px: the fitted shape's corners (a circle sampled): an object's top face.
+        outline: ndarray of shape (M, 2), px: the outer outline; the face's, unless side faces show as well.
+        center: (2,), px: the outline's centroid.
+        diameter: A circle's diameter, px; None for anything else.
+        flags: As for `Detection`.
+    """
+
+    shape: Shape
+    score: float
+    face: Floats
+    outline: Floats
+    center: Floats
+    diameter: float | None
+    flags: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that is known about a frame when its outlines are judged.
+
+    Attributes:
+        image: ndarray of shape (H, W, 3), dtype uint8.
+        noise: Covariance of its pixel noise, (3, 3).
+        white: The searched image's difference from the table.
+        factor: How many times smaller that is.
+        maps: Local coordinates of every region.
+        regions: The regions.
+        plane: The plane shapes are decided in, or None.
+        settings: The recipe's.
+    """
+
+    image: NDArray[np.uint8]
+    noise: Floats
+    white: Whitened
+    factor: int
+    maps: LocalMaps
+    regions: Sequence[Region]
+    plane: PlaneMap | None
+    settings: Precise
+
+    @property
+    def sides(self) -> bool:
+        """Whether side faces may show: shapes are decided on a plane above the table."""
+        return self.plane is not None and self.plane.height > 0.0
+
+    def strengths(self, outline: Floats, share: float) -> Floats:
+        """Whitened difference from the table (N, 3) at points of the outline shrunk to `share` about its middle."""
+        middle = outline.mean(axis=0)
+        points = ((middle + share * (outline - middle)) - (self.factor - 1) / 2.0) / self.factor
+        rows, columns = self.white.difference.shape[:2]
+        x = np.clip(np.rint(points[:, 0]).astype(np.intp), 0, columns - 1)
+        y = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, rows - 1)
+        return np.asarray(self.white.difference[y, x], np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    hypothesis: Hypothesis
+    refined: Refined
+    badness: float
+    outline: Floats
+    area: float
+
+
+def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[Found]:
+    """The objects among the fitted outlines."""
+    judged = _refined(scene, fits)
+    watch.lap("refine")
+    accepted = _select(scene, judged)
+    found = [_found(scene, item) for item in accepted]
+    watch.lap("judge")
+    if scene.settings.others:
+        blur = float(np.median([item.refined.blur for item in accepted])) if accepted else 1.0
+        hidden = [i for i, item in enumerate(accepted) if _merged(scene, item)]
+        others, merged = other_objects(
+            scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
+            scene.settings.minimum_contrast, scene.settings.smallest_px,
+        )  # fmt: skip
+        found = [item for i, item in enumerate(found) if i not in merged]
+        for outline, score in others:
+            flags = _border(outline, scene.image.shape)
+            found.append(Found(Shape.OTHER, score, outline, outline, _centroid(outline), None, flags))
+        watch.lap("others")
+    if scene.sides and scene.plane is not None:
+        found = _with_sides(scene.image, scene.noise, found, scene.plane)
+        watch.lap("sides")
+    return found
+
+
+def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
+    """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
+    settings, maps = scene.settings, scene.maps
+    judged: list[_Judged] = []
+    tried: list[Hypothesis] = []
+    blur = 1.0
+    for rank in (0, 1):
+        wanted = []
+        done = {j.hypothesis.region for j in judged if j.badness < 0.7}
+        for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
+            h = options[rank]
+            if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
+                continue
+            if any(_same(h, other, maps) for other in tried):
+                continue
+            tried.append(h)
+            wanted.append(h)
+        refined = refine(
+            scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
+            [h.region for h in wanted], blur,
+        )  # fmt: skip
+        for h, r in zip(wanted, refined, strict=True):
+            if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
+                continue
+            outline = maps.to_pixels(h.region, vertices(h.family, r.q))
+            if not np.isfinite(outline).all():
+                continue
+            covered = float(area(h.family, r.q[None])[0])
+            allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
+            judged.append(_Judged(h, r, r.misfit / allowed, outline, covered))
+        good = [j.refined.blur for j in judged if j.badness < 1.0]
+        blur = float(np.median(good)) if good else blur
+    return judged
+
+
+def _slack(scene: Scene, outline: Floats) -> float:
+    """Misfit, px, that side faces seen as a narrow rim beside the top face may cause."""
+    if not scene.sides or scene.plane is None:
+        return 0.0
+    shift = float(np.linalg.norm((foot(outline, scene.plane, 2.0 * scene.plane.height) - outline).mean(axis=0)))
+    return min(0.7, 0.12 * shift) if math.isfinite(shift) else 0.0
+
+
+def _same(a: Hypothesis, b: Hypothesis, maps: LocalMaps) -> bool:
+    """Whether two hypotheses speak of the same outline."""
+    if a.family is not b.family or abs(a.size / b.size - 1.0) > 0.08:
+        return False
+    apart = maps.centers[a.region] + a.q[:2] - maps.centers[b.region] - b.q[:2]
+    return bool(np.abs(apart).sum() < 0.08 * a.size + 0.5)
+
+
+def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
+    """The best of what overlaps.
+
+    Of nested outlines that fit equally well the outer one is the object and the inner one a hole or a print;
+    where side faces show it is the other way round, unless the inner one is much smaller: the inner one is the top.
+    """
+    good = [item for item in judged if item.badness <= 1.0 and not _table_like(scene, item)]
+    blurs = [item.refined.blur for item in good]
+    if blurs:
+        # Shadows and glare have softer edges than the objects of the same frame.
+        softest = 1.7 * float(np.median(blurs)) + 0.4
+        good = [item for item in good if item.refined.blur <= softest]
+
+    def rank(item: _Judged) -> float:
+        return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
+
+    accepted: list[_Judged] = []
+    for item in sorted(good, key=lambda j: (rank(j), -j.area)):
+        if any(_overlap(item.outline, other.outline) > 0.15 for other in accepted):
+            continue
+        if scene.sides:
+            inner = [
+                other
+                for other in good
+                if 0.5 * item.area < other.area < 0.97 * item.area
+                and rank(other) < rank(item) + 0.3
+                and _overlap(item.outline, other.outline) > 0.9
+            ]
+            if inner:
+                item = min(inner, key=rank)
+                if any(_overlap(item.outline, other.outline) > 0.15 for other in accepted):
+                    continue
+        accepted.append(item)
+    return accepted
+
+
+def _table_like(scene: Scene, item: _Judged) -> bool:
+    """Whether the rim inside an outline looks like the table: a patch of table between objects."""
+    strength = np.linalg.norm(scene.strengths(_sampled(item.outline), 0.85), axis=1)
+    return float(np.median(strength)) < _TABLE
+
+
+def _sampled(outline: Floats, count: int = 32) -> Floats:
+    """`count` points at equal distances along a closed outline."""
+    side = np.roll(outline, -1, axis=0) - outline
+    length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+    ends = np.cumsum(length)
+    at = (np.arange(count) + 0.5) / count * ends[-1]
+    which = np.searchsorted(ends, at).clip(0, len(outline) - 1)
+    return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
+
+
+def _merged(scene: Scene, item: _Judged) -> bool:
+    """Whether part of an outline runs through one colour: a piece cut out of something larger."""
+    seen = item.refined.seen
+    return scene.regions[item.hypothesis.region].cue == "split" and float(seen.mean()) < 0.93
+
+
+def _overlap(a: Floats, b: Floats) -> float:
+    """Area shared by two convex outlines over the smaller one's."""
+    if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
+        return 0.0
+    pa, pb = a.astype(np.float32), b.astype(np.float32)
+    common, _ = cv2.intersectConvexConvex(pa, pb)
+    return float(common) / max(1.0, min(abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))))
+
+
+def _found(scene: Scene, item: _Judged) -> Found:
+    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
+    verdict = family.shape
+    diameter = None
+    if family is RECTANGLE and max(q[2], q[3]) / min(q[2], q[3]) < scene.settings.square_aspect:
+        verdict = Shape.SQUARE
+    center = vertices(family, q).mean(axis=0) if family is TRIANGLE else q[:2]
+    if family is CIRCLE:
+        diameter = 2.0 * float(q[2])
+        if scene.plane is not None:
+            diameter = 2.0 * math.sqrt(abs(cv2.contourArea(item.outline.astype(np.float32))) / math.pi)
+    score = float(np.clip(1.0 - 0.35 * item.badness**2, 0.0, 1.0) * min(1.0, item.refined.visible / 0.95))
+    flags = _border(item.outline, scene.image.shape)
+    if _has_hole(scene, item.outline):
+        flags |= {"hole"}
+    return Found(
+        verdict, score, item.outline, item.outline, scene.maps.to_pixels(k, center[None])[0], diameter, flags
+    )
+
+
+def _border(outline: Floats, shape: tuple[int, ...]) -> frozenset[str]:
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    cut = (low < 0.5).any() or high[0] > shape[1] - 1.5 or high[1] > shape[0] - 1.5
+    return frozenset({"cut_by_border"} if cut else ())
+
+
+def _has_hole(scene: Scene, outline: Floats) -> bool:
+    """Whether the table shows through the middle of an object."""
+    around = _sampled(outline)
+    own = float(np.median(np.linalg.norm(scene.strengths(around, 0.85), axis=1)))
+    middle = np.concatenate([np.linalg.norm(scene.strengths(around, s), axis=1) for s in (0.05, 0.15, 0.25, 0.35)])
+    return own > 6.0 and float(np.mean(middle < max(3.0, 0.3 * own))) > 0.4
+
+
+def _with_sides(image: NDArray[np.uint8], noise: Floats, found: list[Found], plane: PlaneMap) -> list[Found]:
+    """Objects with their visible side faces as part of the outline, and without those faces as objects."""
+    areas = [abs(cv2.contourArea(item.face.astype(np.float32))) for item in found]
+    order = sorted(range(len(found)), key=lambda i: -areas[i])
+    kept: list[Found] = []
+    reaches: list[Floats] = []
+    for i in order:
+        item = found[i]
+        if any(_overlap(item.face, other) > 0.6 for other in reaches):
+            continue
+        kept.append(item)
+        reaches.append(reach(item.face, plane))
+    outlines = measure(image, noise, [item.face for item in kept], plane)
+    return [
+        replace(item, outline=outline, center=_centroid(outline), diameter=None)
+        for item, outline in zip(kept, outlines, strict=True)
+    ]
+
+
+def _centroid(outline: Floats) -> Floats:
+    """Centroid of a polygon of shape (N, 2)."""
+    m = cv2.moments((outline - outline[0]).astype(np.float32))
+    if abs(m["m00"]) < 1e-9:
+        return np.asarray(outline.mean(axis=0))
+    return np.array([m["m10"], m["m01"]]) / m["m00"] + outline[0]
