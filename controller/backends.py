@@ -5,6 +5,7 @@ Camera, arm and clock come as a set. A simulated set is asked for by name; nothi
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -184,6 +185,8 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
     from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
 
     spec = _cell_spec(config, arm, options)
+    if options.real_time:
+        return _served_devices(spec, arm, options)
     cell = SimulatedCell(spec)
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
@@ -196,6 +199,29 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         clear_table=cell.set_aside,
         lay_parts=cell.scatter,
         portrait=cell.overview,
+    )
+
+
+def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions) -> Devices:
+    """The physics cell in a process of its own, paced by the wall clock; the stock serial path to its servos."""
+    from drivers.arm.dynamixel import DynamixelArm
+    from drivers.arm.serial_stream import SerialStream
+    from drivers.clock import MonotonicClock
+    from sim_backends.remote import RemoteCamera, RemotePresenter, RemoteTruth, ServerSpec, spawn_server
+
+    server = spawn_server(ServerSpec(cell=json.loads(spec.to_json()), baud=arm.baud, seed=options.seed))
+    clock = MonotonicClock()
+    presenter, truth = RemotePresenter(server.socket), RemoteTruth(server.socket, clock)
+    return Devices(
+        RemoteCamera(server.socket, clock),
+        DynamixelArm(arm, SerialStream(server.pty), clock),
+        clock,
+        presenter=presenter,
+        truth=Truth(truth.now, truth.at, truth.collisions),
+        clear_table=truth.set_aside,
+        lay_parts=truth.scatter,
+        portrait=truth.portrait,
+        closers=[server.stop, truth.close, presenter.close],
     )
 
 

@@ -28,6 +28,7 @@ class Progress(Observer):
         self._status = Status("starting", console=console) if console.is_terminal else None
         self._state = State.STOPPED
         self._seen = 0
+        self._began: float | None = None
         self._count: Counter[Result] = Counter()
 
     def __enter__(self) -> Progress:
@@ -50,7 +51,9 @@ class Progress(Observer):
     def entered(self, state: State, at: float) -> None:
         """Show the state."""
         self._state = state
-        self._update(at)
+        if self._began is None:
+            self._began = at
+        self._update(at - self._began)
 
     def looked(self, look: Look) -> None:
         """Show how many objects lie on the table."""
@@ -67,11 +70,12 @@ class Progress(Observer):
         target = outcome.target
         what = target.detection.label or str(target.shape)
         where = f"{target.center[0]:6.1f} {target.center[1]:7.1f} mm"
-        self.say(f"{outcome.finished_at:7.1f} s  {what:<10} {where}  {outcome.result}: {outcome.reason}")
+        at = outcome.finished_at - (self._began or 0.0)
+        self.say(f"{at:7.1f} s  {what:<10} {where}  {outcome.result}: {outcome.reason}")
 
     def faulted(self, error: SorterError, at: float) -> None:
         """Say the fault."""
-        self.say(f"{at:7.1f} s  FAULT: {error}")
+        self.say(f"{at - (self._began or 0.0):7.1f} s  FAULT: {error}")
 
     def _update(self, at: float) -> None:
         if self._status is not None:
