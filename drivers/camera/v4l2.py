@@ -139,10 +139,11 @@ class V4l2Camera:
             raise CameraLost(
                 self._device, "capture", f"gone, and not back within {timeout:g} s ({lost.cause})", lost.remedy
             ) from lost
+        last = f"the newest ended at {newest:.3f} s" if math.isfinite(newest) else "none came at all"
         raise FrameStale(
             self._device,
             "capture",
-            f"no frame begun after {after:.3f} s within {timeout:g} s; the newest ended at {newest:.3f} s",
+            f"no frame begun after {after:.3f} s within {timeout:g} s; {last}",
             "check the cable, the USB hub and the load of the computer",
         )
 
