@@ -59,7 +59,8 @@ def other_objects(
         inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
         pieces = {i for i in inside if i in hidden}
         explained = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside if i not in pieces)
-        if any(_contains(outline.astype(np.float32), _middle(polygon)) for i, outline in enumerate(known) if i not in pieces):
+        whole = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in pieces]
+        if any(_contains(outline, _middle(polygon)) for outline in whole):
             continue
         if explained > 0.25 * covered:
             continue

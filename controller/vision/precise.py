@@ -56,11 +56,11 @@ def search(
         return []
     centers = np.array([_center(item.contour) for item in regions])
     radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
-    usable = np.isfinite(radii).all(axis=1)
+    usable: NDArray[np.bool_] = np.isfinite(radii).all(axis=1)
     if plane is not None:
         # Beyond the horizon of the plane there is nothing to measure.
         near = centers * factor + (factor - 1) / 2.0
-        usable &= np.isfinite(plane.to_plane(near)).all(axis=1)
+        usable = usable & np.isfinite(plane.to_plane(near)).all(axis=1)
     regions = [item for item, use in zip(regions, usable, strict=True) if use]
     if not regions:
         return []

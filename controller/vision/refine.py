@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from controller.vision.local_map import LocalMaps
 from controller.vision.profiles import CHUNKS, Profiles, sample
-from controller.vision.shapes import CIRCLE, Family, area, vertices
+from controller.vision.shapes import CIRCLE, Family, area
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,10 @@ _SHAPE = 8
 """Parameters of any family, padded: (cx, cy, three sizes, three turns)."""
 _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
+
+
+_KEPT = 0.88
+"""Share of the visible chunks that count for the misfit: a neighbour or a nick may spoil the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +43,7 @@ class Refined:
         levels: The same in gray levels (root mean square over the channels).
         misfit: How far the outline strays from the fitted one beyond the noise, px (rms, trimmed).
         seen: ndarray of shape (CHUNKS,), dtype bool: where an edge is to be seen.
+        blank: ndarray of shape (CHUNKS,), dtype bool: where inside and outside look the same.
         strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
         inside_colour: ndarray of shape (3,): mean colour just inside, BGR levels.
     """
@@ -49,6 +54,7 @@ class Refined:
     levels: float
     misfit: float
     seen: NDArray[np.bool_]
+    blank: NDArray[np.bool_]
     strays: Floats
     inside_colour: Floats
 
@@ -170,6 +176,7 @@ class _State:
     """Where the fit stands; arrays (K, CHUNKS, D) or (K, CHUNKS), in units of the noise of one pixel."""
 
     rest: Floats
+    free: Floats
     weight: Floats
     bell: Floats
     lines: Floats
@@ -250,9 +257,9 @@ def _rounds(
     spacing = np.minimum(2.0 * reach / (columns - 1), 1.0)
     lines = np.minimum(np.maximum(chord, 0.25), profiles.lines) * spacing[:, None]
     root = np.sqrt(lines)[..., None]
-    free = profiles.inside & _clear_of_corners(batch, local)
+    free = (profiles.inside & _clear_of_corners(batch, local)).astype(np.float64)
     value, inner = _contrasts(profiles, local, free, noise, size)
-    weight = free.astype(np.float64)
+    weight = free
     for step in range(rounds + 1):
         dx = local[..., 0] - batch.q[:, None, None, 0]
         dy = local[..., 1] - batch.q[:, None, None, 1]
@@ -265,14 +272,14 @@ def _rounds(
         dark = unlit * scaled
         energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
         around = np.einsum("kcd,kcd->kc", dark, value * scaled) / energy
-        rest = (value - around[..., None] * unlit) * root * (weight > 0.0)
-        state = _State(rest, weight, bell, lines, around, energy, inner)
+        rest = (value - around[..., None] * unlit) * root * free
+        state = _State(rest, free, weight, bell, lines, around, energy, inner)
         if step == rounds:
             return state
         if step > 0:
             spread = np.maximum(1.0, 1.4826 * np.median(np.abs(rest).reshape(len(rest), -1), axis=1))
             ratio = np.minimum(np.abs(rest) / (6.0 * spread[:, None, None]), 1.0)
-            weight = free * (1.0 - ratio**2) ** 2
+            weight = free * (1.0 - ratio**2) ** 2 * _agreement(state)[..., None]
             scaled = np.sqrt(weight) * root
             dark = unlit * scaled
             energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
@@ -294,6 +301,24 @@ def _rounds(
     raise AssertionError("the last round returns")
 
 
+def _strays(state: _State) -> tuple[Floats, Floats]:
+    """How far the edge of each chunk lies outside the outline (K, CHUNKS), px, and that figure's information."""
+    w = state.weight * state.lines[..., None]
+    slope = state.around[..., None] * state.bell
+    information = np.einsum("kcd,kcd,kcd->kc", w, slope, slope)
+    deviation = np.einsum("kcd,kcd,kcd->kc", w, slope, state.rest / np.sqrt(state.lines)[..., None])
+    return deviation / np.maximum(information, 1e-9), information
+
+
+def _agreement(state: _State) -> Floats:
+    """Tukey's weight (K, CHUNKS) of chunks by how far they stray: contacts with neighbours stray far."""
+    stray, information = _strays(state)
+    middle = np.median(stray, axis=1, keepdims=True)
+    spread = 1.4826 * np.median(np.abs(stray - middle), axis=1, keepdims=True)
+    limit = 4.0 * np.maximum(spread, 0.04) + 3.0 / np.sqrt(np.maximum(information, 1e-9))
+    return np.asarray((1.0 - np.minimum(np.abs(stray - middle) / limit, 1.0) ** 2) ** 2)
+
+
 def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floats:
     """The samples in local coordinates, (K, CHUNKS, D, 2)."""
     if maps.plane is None:
@@ -302,7 +327,7 @@ def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floa
 
 
 def _contrasts(
-    profiles: Profiles, local: Floats, free: NDArray[np.bool_], noise: Floats, size: Floats
+    profiles: Profiles, local: Floats, free: Floats, noise: Floats, size: Floats
 ) -> tuple[Floats, Floats]:
     """Profiles relative to the object's own colour, along each chunk's contrast, in units of the noise.
 
@@ -315,7 +340,7 @@ def _contrasts(
     count, _, columns = profiles.values.shape[:3]
     third = columns // 3
     inside = profiles.values[:, :, :third].reshape(count, -1, 3)
-    usable = free[:, :, :third].reshape(count, -1).astype(np.float64) + 1e-6
+    usable = free[:, :, :third].reshape(count, -1) + 1e-6
     xy = local / size[:, None, None, None]
     plane = np.concatenate([np.ones((*xy.shape[:3], 1)), xy], axis=3)
     basis = plane[:, :, :third].reshape(count, -1, 3)
@@ -376,15 +401,12 @@ def _clear_of_corners(batch: _Batch, local: Floats) -> NDArray[np.bool_]:
 
 def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: Floats) -> list[Refined | None]:
     """Per object: misfit and visibility from the profiles that remain."""
-    w = state.weight * state.lines[..., None]
-    slope = state.around[..., None] * state.bell
-    information = np.einsum("kcd,kcd,kcd->kc", w, slope, slope)
-    deviation = np.einsum("kcd,kcd,kcd->kc", w, slope, state.rest / np.sqrt(state.lines)[..., None])
-    stray = deviation / np.maximum(information, 1e-9)
+    stray, information = _strays(replace(state, weight=state.free))
     error = 1.0 / np.maximum(information, 1e-9)
     loose = np.maximum(1.0, 0.02 * size)[:, None]
     level = math.sqrt(float(noise.trace()) / 3.0)
-    seen = (state.around * np.sqrt(state.energy) > 5.0) & (state.around * level > 2.5) & (np.abs(stray) < loose)
+    blank = (state.around * np.sqrt(state.energy) < 5.0) | (state.around * level < 2.5)
+    seen = ~blank & (np.abs(stray) < loose)
     contrast = np.median(state.around, axis=1)
     out: list[Refined | None] = []
     for i, family in enumerate(batch.families):
@@ -397,14 +419,13 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
         if moved > 0.15 * size[i] + 2.0 or not 0.6 < grown < 1.6:
             out.append(None)
             continue
-        usable = information[i] > 0.0
-        excess = np.sort((stray[i] ** 2 - error[i])[usable])
-        kept = excess[: max(1, int(0.92 * len(excess)))] if len(excess) else np.array([np.inf])
+        excess = np.sort((stray[i] ** 2 - error[i])[seen[i] & (information[i] > 0.0)])
+        kept = excess[: max(1, round(_KEPT * len(excess)))] if len(excess) else np.array([np.inf])
         misfit = math.sqrt(max(float(kept.mean()), 0.0))
         out.append(
             Refined(
                 q, float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level, misfit,
-                seen[i], stray[i], state.inner[i],
+                seen[i], blank[i], stray[i], state.inner[i],
             )
         )  # fmt: skip
     return out

@@ -49,12 +49,13 @@ def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: 
         return []
     heights = np.full(len(tops), 2.0 * plane.height)
     for step in range(2):
-        shifts = np.array([np.linalg.norm((foot(t, plane, h) - t).mean(axis=0)) for t, h in zip(tops, heights, strict=True)])
+        both = list(zip(tops, heights, strict=True))
+        shifts = np.array([np.linalg.norm((foot(top, plane, height) - top).mean(axis=0)) for top, height in both])
         window = np.clip(0.45 * shifts, 3.0, 12.0) if step == 0 else np.full(len(tops), 3.0)
-        middle, normal, length = _chunks([silhouette(t, plane, h) for t, h in zip(tops, heights, strict=True)])
+        middle, normal, length = _chunks([silhouette(top, plane, height) for top, height in both])
         stray, found = _edges(image, noise, middle, normal, length, window)
         if step == 0:
-            taller = [silhouette(t, plane, h * 1.1) for t, h in zip(tops, heights, strict=True)]
+            taller = [silhouette(top, plane, 1.1 * height) for top, height in both]
             heights = _follow(heights, middle, normal, stray, found, taller)
     out = []
     for k in range(len(tops)):
@@ -120,9 +121,10 @@ def _follow(
     """Heights after the edges of the foot: a taller part's outline lies further out on the foot's side only."""
     out = heights.copy()
     for k, hull in enumerate(taller):
-        gain = np.array([-cv2.pointPolygonTest(hull.astype(np.float32), (float(x), float(y)), True) for x, y in middle[k]])
+        polygon = hull.astype(np.float32)
         # Distance inside the taller outline: how far a tenth more height moves this point.
-        rate = np.maximum(-gain, 0.0)
+        depth = [cv2.pointPolygonTest(polygon, (float(x), float(y)), True) for x, y in middle[k]]
+        rate = np.maximum(np.array(depth), 0.0)
         use = found[k] & (rate > 0.3 * max(float(rate.max()), 1e-9)) & (rate > 0.15)
         if use.sum() < 4:
             continue

@@ -194,8 +194,7 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
 
     accepted: list[_Judged] = []
     for item in sorted(good, key=lambda j: (rank(j), -j.area)):
-        if any(_overlap(item.outline, other.outline) > 0.15 for other in accepted):
-            continue
+        chosen = item
         if scene.sides:
             inner = [
                 other
@@ -204,11 +203,9 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
                 and rank(other) < rank(item) + 0.3
                 and _overlap(item.outline, other.outline) > 0.9
             ]
-            if inner:
-                item = min(inner, key=rank)
-                if any(_overlap(item.outline, other.outline) > 0.15 for other in accepted):
-                    continue
-        accepted.append(item)
+            chosen = min(inner, key=rank, default=item)
+        if not any(_overlap(chosen.outline, other.outline) > 0.15 for other in accepted):
+            accepted.append(chosen)
     return accepted
 
 
@@ -230,8 +227,7 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
 
 def _merged(scene: Scene, item: _Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    seen = item.refined.seen
-    return scene.regions[item.hypothesis.region].cue == "split" and float(seen.mean()) < 0.93
+    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.blank.mean()) > 0.08
 
 
 def _overlap(a: Floats, b: Floats) -> float:
@@ -301,4 +297,4 @@ def _centroid(outline: Floats) -> Floats:
     m = cv2.moments((outline - outline[0]).astype(np.float32))
     if abs(m["m00"]) < 1e-9:
         return np.asarray(outline.mean(axis=0))
-    return np.array([m["m10"], m["m01"]]) / m["m00"] + outline[0]
+    return np.asarray(np.array([m["m10"], m["m01"]]) / m["m00"] + outline[0])
