@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -301,6 +302,21 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="ascii")
     with pytest.raises(LedgerError, match="folder that can be written"):
         opened(tmp_path / "file" / "ledger.db")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_in_a_read_only_folder_it_can_be_read_but_not_written(path: Path) -> None:
+    with opened(path) as ledger:
+        ledger.conclude(outcome("t1"))
+    path.chmod(0o444)
+    path.parent.chmod(0o555)
+    try:
+        with LedgerView(path) as view:
+            assert view.counts()["placed"] == 1
+        with pytest.raises(LedgerError, match=r"readonly.*make the folder and the file writable"):
+            opened(path)
+    finally:
+        path.parent.chmod(0o755)
 
 
 def test_a_folder_in_the_place_of_the_file_is_said(tmp_path: Path) -> None:
