@@ -21,7 +21,8 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import TypeVar
 
-from sim_backends.virtual_dynamixel.bus import BAUD_RATES, VirtualBus
+from sim_backends.virtual_dynamixel.bus import VirtualBus
+from sim_backends.virtual_dynamixel.instructions import BAUD_RATES
 
 T = TypeVar("T")
 

@@ -68,7 +68,8 @@ class VirtualServo:
         table: Its registers.
         health: Its supply, temperature and errors.
         silent: It answers nothing and obeys nothing, as with a broken cable before it.
-        on_change: Called when ID, baud rate or the need for attention has changed.
+        on_change: Called when `busy` or `watch` may have changed.
+        on_address: Called when the ID or the secondary ID may have changed.
     """
 
     def __init__(self, spec: ServoSpec, plant: Plant, baud_code: int) -> None:
@@ -76,6 +77,7 @@ class VirtualServo:
         self.shaft_id = spec.servo_id
         self.silent = False
         self.on_change: Callable[[], None] = lambda: None
+        self.on_address: Callable[[], None] = lambda: None
         self.table = ControlTable(self.model)
         self.table.set("ID", spec.servo_id)
         self.table.set("Baud_Rate", baud_code)
@@ -163,6 +165,7 @@ class VirtualServo:
         """EEPROM back to the factory's values, then a reboot."""
         kept = {"ID": keep_id, "Baud_Rate": keep_baud}
         self.table.reset(lambda register: register.access == EEPROM and not kept.get(register.name, False))
+        self.on_address()
         self.reboot(now)
 
     def clear_turns(self) -> Fail:
@@ -225,8 +228,8 @@ class VirtualServo:
             motor.change_mode()
         elif name in ("Drive_Mode", "Homing_Offset"):
             motor.load()
-        elif name in ("ID", "Secondary_ID", "Baud_Rate"):
-            self.on_change()
+        elif name in ("ID", "Secondary_ID"):
+            self.on_address()
         elif name in COMMANDED.values() or name.endswith("_Gain") or name == "PWM_Limit":
             if motor.wakes_on_goal and not motor.torque and name == COMMANDED.get(self.table.get("Operating_Mode")):
                 motor.energise()

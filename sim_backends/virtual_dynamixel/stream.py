@@ -11,7 +11,8 @@ from collections import deque
 from itertools import pairwise
 
 from controller.errors import BusError
-from sim_backends.virtual_dynamixel.bus import BAUD_RATES, VirtualBus
+from sim_backends.virtual_dynamixel.bus import VirtualBus
+from sim_backends.virtual_dynamixel.instructions import BAUD_RATES
 
 _UNPLUGGED = "check the USB cable and the adapter"
 

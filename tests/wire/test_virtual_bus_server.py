@@ -23,19 +23,10 @@ from controller.domain import Shape, TruePart
 from controller.errors import CameraLost, DeviceError, FrameStale
 from controller.geometry import pose
 from controller.ports import Camera, Presenter
-from sim_backends.remote import (
-    Connection,
-    RemoteCamera,
-    RemotePresenter,
-    RemoteTruth,
-    ServerSpec,
-    part_from_json,
-    part_to_json,
-    receive,
-    send,
-    spawn_server,
-)
-from sim_backends.server import Bench, CameraBeat, CellServer
+from sim_backends.messages import Connection, part_from_json, part_to_json, receive, send
+from sim_backends.remote import RemoteCamera, RemotePresenter, RemoteTruth, ServerSpec, spawn_server
+from sim_backends.served_cell import Bench, CameraBeat
+from sim_backends.server import CellServer
 from sim_backends.virtual_dynamixel import ServoSpec
 
 SERVOS = ((1, "XM430-W350"), (2, "XL430-W250"))
