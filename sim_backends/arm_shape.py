@@ -43,7 +43,7 @@ class MarkerMount:
     marker_id: int = 0
     size: float = 30.0
     margin: float = 5.0
-    position: tuple[float, float, float] = (-60.0, 0.0, 52.0)
+    position: tuple[float, float, float] = (-60.0, 0.0, 62.0)
 
     @property
     def T_tool_marker(self) -> Array:

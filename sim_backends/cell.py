@@ -64,6 +64,7 @@ class SimulatedCell:
         self.clock = SimClock(self.world)
         self.presenter = Hands(self.lens, self.T_base_table, imperfections, spec.seed)
         self._painter = self._make_painter(self.lens, Look.of(imperfections, spec.seed))
+        self._overview: tuple[object, Painter] | None = None
         self.camera = SimulatedCamera(self.world, self._paint, imperfections.latency)
 
     @property
@@ -102,22 +103,19 @@ class SimulatedCell:
         """Put all parts where the seed has them."""
         self.world.put_back()
 
-    def portrait(self, size: tuple[int, int] = (1280, 720), *, lens: Lens | None = None) -> Image:
-        """A picture of the whole cell for people, (H, W, 3), from ahead of the arm and to its right.
+    def overview(self, size: tuple[int, int] = (1280, 720), lens: Lens | None = None) -> Image:
+        """A picture of the whole cell for people, (H, W, 3), dtype uint8, BGR.
 
         Args:
             size: (width, height), px.
-            lens: Another point of view; its own size is then used.
+            lens: Another point of view than from ahead of the arm and to its right.
         """
         fine = lens or overview_lens((2 * size[0], 2 * size[1]))
-        light = draw("ideal", 0, {"shadow_depth": 0.3, "vignette": 0.25, "lamp_azimuth": 2.2, "blur": 0.0})
-        painter = self._make_painter(fine, Look.of(light, self.spec.seed))
-        picture = painter.paint(self.world.snapshot(), self.presenter.sheet, self.presenter.board)
+        light = draw("ideal", 0, {"shadow_depth": 0.3, "vignette": 0.25, "lamp_azimuth": -1.3, "blur": 0.0})
+        if self._overview is None or self._overview[0] != (size, lens):
+            self._overview = (size, lens), self._make_painter(fine, Look.of(light, self.spec.seed))
+        picture = self._overview[1].paint(self.world.snapshot(), self.presenter.sheet, self.presenter.board)
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-    def overview(self, size: tuple[int, int] = (1280, 720)) -> Image:
-        """A three-quarter picture of the whole cell for people, (H, W, 3), dtype uint8."""
-        return self.portrait(size)
 
     def _truth(self, poses: Array, held: frozenset[int]) -> tuple[TruePart, ...]:
         world = self.world

@@ -182,7 +182,8 @@ class Painter:
         # Light from the whole sky reaches a face that looks sideways by half.
         sky = 0.5 + 0.5 * normals[:, 2]
         light = _AMBIENT * sky + (1.0 - _AMBIENT) * np.maximum(0.0, normals @ self._lamp)
-        return np.asarray(np.minimum(self._colours * (light / up)[:, None], 255.0))
+        # Cameras do not store light but about its square root.
+        return np.asarray(np.minimum(self._colours * np.sqrt(light / up)[:, None], 255.0))
 
     def _lamp_samples(self) -> Array:
         """Directions to points of the lamp's disc, (L, 3)."""

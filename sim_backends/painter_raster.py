@@ -41,7 +41,8 @@ def offset(ring: Array, by: Array | float) -> Array:
     before = np.concatenate([normal[-1:], normal[:-1]])
     cosine = (before * normal).sum(axis=1)
     flat = cosine > 0.999
-    determinant = np.where(flat, 1.0, np.maximum(1.0 - cosine**2, 0.05))
+    # A needle's point would move far; it moves four times the offset at most.
+    determinant = np.where(flat, 1.0, np.maximum(1.0 - cosine**2, np.where(cosine < 0.0, 0.05, 0.0)))
     if isinstance(by, np.ndarray):
         moved = np.concatenate([by[-1:], by[:-1]])
         a = np.where(flat, moved, moved - cosine * by) / determinant

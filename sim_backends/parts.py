@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Shape
+from controller.errors import ConfigError
 from sim_backends.imperfections import Imperfections
 from sim_backends.solids import Array, disc, regular
 
@@ -28,6 +29,8 @@ COLOURS: Mapping[str, tuple[float, float, float]] = {
 # kg/mm^3: printed plastic with a filling; a 43 mm square weighs 17 g.
 DENSITY = 0.45e-6
 RECTANGLE_ASPECT = 1.4
+_FRESH_STARTS = 20
+_LEAST_GAP = 0.2  # mm: parts may all but touch, never overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +146,9 @@ def scatter(
     """`count` parts, uniform over the work area; the same for the same seed.
 
     When so many parts do not fit with the wanted gap, the gap shrinks in steps until they do.
+
+    Raises:
+        ConfigError: They do not fit at all.
     """
     random = np.random.default_rng([seed, 3])
     # Shapes come round in turn from a random start, so that a table of five has all of them.
@@ -150,17 +156,18 @@ def scatter(
     kinds = [
         _kind(random, SHAPES[(start + index) % len(SHAPES)], imperfections, heights, grips) for index in range(count)
     ]
-    wanted = imperfections.part_gap
-    for attempt in range(2000):
-        # Twenty fresh starts at the full gap; 3 % of it less at each later one.
-        distance = wanted * 0.97 ** max(0, attempt - 20) if wanted > 0.0 else 0.2
-        places = _places(random, [kind[3] for kind in kinds], distance, area_)
+    rings = [kind[3] for kind in kinds]
+    for distance in imperfections.part_gap * 0.8 ** np.arange(12) + _LEAST_GAP:
+        places = None
+        for _ in range(_FRESH_STARTS):
+            places = places or _places(random, rings, float(distance), area_)
+        places = places or _squeezed(random, rings, float(distance), area_)
         if places is not None:
             return tuple(
                 Part(shape, colour, grip, heights[shape], mass, friction, x, y, yaw)
                 for (shape, colour, grip, _, mass, friction), (x, y, yaw) in zip(kinds, places, strict=True)
             )
-    raise ValueError(f"{count} parts do not fit into the work area")
+    raise ConfigError(f"{count} parts do not fit into the work area", "ask for fewer or smaller parts")
 
 
 def _kind(
@@ -183,23 +190,61 @@ def _kind(
 def _places(
     random: np.random.Generator, rings: Sequence[Array], distance: float, area_: WorkArea
 ) -> list[tuple[float, float, float]] | None:
-    done: list[tuple[float, float, float]] = []
-    outlines: list[NDArray[np.float64]] = []
-    for ring in rings:
-        reach = float(np.linalg.norm(ring, axis=1).max())
-        for _ in range(60):
-            radius = math.sqrt(random.uniform(area_.radius[0] ** 2, area_.radius[1] ** 2))
-            azimuth = random.uniform(*area_.azimuth)
-            x, y, yaw = radius * math.cos(azimuth), radius * math.sin(azimuth), random.uniform(-math.pi, math.pi)
-            here = placed(ring, x, y, yaw)
-            if all(
-                math.dist((x, y), (u, v)) > reach + float(np.linalg.norm(other - (u, v), axis=1).max()) + distance
-                or gap(here, other) >= distance
-                for (u, v, _), other in zip(done, outlines, strict=True)
-            ):
-                done.append((x, y, yaw))
-                outlines.append(here)
+    """A place (x, y, yaw) for every ring, the largest first, or None when one finds no room."""
+    outer = [float(np.sqrt((ring**2).sum(axis=1)).max()) for ring in rings]
+    inner = [float(np.sqrt(((ring + np.roll(ring, -1, axis=0)) ** 2).sum(axis=1)).min()) / 2.0 for ring in rings]
+    places: dict[int, tuple[float, float, float]] = {}
+    outlines: dict[int, NDArray[np.float64]] = {}
+
+    def has_room(index: int, here: Array, x: float, y: float) -> bool:
+        near = []
+        for other, (u, v, _) in places.items():
+            apart = math.hypot(x - u, y - v) - distance
+            if apart < inner[index] + inner[other]:
+                return False
+            if apart < outer[index] + outer[other]:
+                near.append(other)
+        return all(gap(here, outlines[other]) >= distance for other in near)
+
+    for index in sorted(range(len(rings)), key=lambda i: -outer[i]):
+        for _ in range(100):
+            x, y, yaw = _somewhere(random, area_)
+            here = placed(rings[index], x, y, yaw)
+            if has_room(index, here, x, y):
+                places[index], outlines[index] = (x, y, yaw), here
                 break
         else:
             return None
-    return done
+    return [places[index] for index in range(len(rings))]
+
+
+def _somewhere(random: np.random.Generator, area_: WorkArea) -> tuple[float, float, float]:
+    radius = math.sqrt(random.uniform(area_.radius[0] ** 2, area_.radius[1] ** 2))
+    azimuth = random.uniform(*area_.azimuth)
+    return radius * math.cos(azimuth), radius * math.sin(azimuth), random.uniform(-math.pi, math.pi)
+
+
+def _squeezed(
+    random: np.random.Generator, rings: Sequence[Array], distance: float, area_: WorkArea
+) -> list[tuple[float, float, float]] | None:
+    """Places found by pushing a random heap apart: denser than places tried one after the other can be."""
+    reach = np.array([float(np.sqrt((ring**2).sum(axis=1)).max()) for ring in rings])
+    places = np.array([_somewhere(random, area_) for _ in rings])
+    for _ in range(300):
+        apart = places[:, None, :2] - places[None, :, :2]
+        separation = np.sqrt((apart**2).sum(axis=2))
+        moves = np.zeros((len(rings), 2))
+        for i, j in zip(*np.nonzero(np.triu(separation < reach[:, None] + reach + distance, 1)), strict=True):
+            missing = distance - gap(placed(rings[i], *places[i]), placed(rings[j], *places[j]))
+            if missing > 0.0:
+                # A little more than needed, so that the last contacts do not creep for ever.
+                push = (0.5 * missing + 0.05) * apart[i, j] / max(separation[i, j], 1e-6)
+                moves[i] += push
+                moves[j] -= push
+        if not moves.any():
+            return [(float(x), float(y), float(yaw)) for x, y, yaw in places]
+        places[:, :2] += moves
+        radius = np.clip(np.hypot(places[:, 0], places[:, 1]), *area_.radius)
+        azimuth = np.clip(np.arctan2(places[:, 1], places[:, 0]), *area_.azimuth)
+        places[:, 0], places[:, 1] = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    return None

@@ -25,7 +25,7 @@ MM = 1e-3
 # Collision classes: what may touch what.
 _PART, _FIXED, _ARM, _BASE, _CRADLE = 1, 2, 4, 8, 16
 
-TABLE_LOW, TABLE_HIGH = (-380.0, -480.0), (560.0, 480.0)  # the table's top in `base`, mm
+TABLE_LOW, TABLE_HIGH = (-420.0, -600.0), (660.0, 600.0)  # the table's top in `base`, mm
 TABLE_THICKNESS = 25.0
 FLOOR = -700.0
 WALL = 3.0  # bins: thickness of walls and floor, mm
@@ -102,7 +102,7 @@ def horn_range(gripper: Gripper) -> tuple[float, float]:
 def coupling(gripper: Gripper) -> tuple[float, ...]:
     """Coefficients of the quartic in the servo angle that MuJoCo's joint equality uses for half the opening, m."""
     low, high = horn_range(gripper)
-    # Chebyshev nodes spread the error of the fit evenly (below 0.03 mm for the crank of the X-series arms).
+    # Chebyshev nodes spread the error of the fit evenly (below 0.04 mm for the crank of the X-series arms).
     nodes = (low + high) / 2.0 + (high - low) / 2.0 * np.cos(math.pi * (np.arange(40) + 0.5) / 40.0)
     halves = np.array([half_opening(gripper, float(a)) for a in nodes]) * MM
     return tuple(float(c) for c in np.polynomial.polynomial.polyfit(nodes, halves, 4))
@@ -168,7 +168,7 @@ def build(
     coefficients = _numbers((constant - half_opening(arm.gripper, 0.0) * MM, *rest))
     equality = "".join(
         f'<joint joint1="{finger}" joint2="{HORN}" polycoef="{coefficients}" solref="0.004 1" '
-        f'solimp="0.99 0.999 0.001"/>'
+        f'solimp="0.999 0.9999 0.001"/>'
         for finger in (LEFT, RIGHT)
     )
     actuators = "".join(
