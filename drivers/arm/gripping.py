@@ -123,8 +123,8 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
         elif stopped_at is None:
             stopped_at = now
         arrived = abs(opening_from_angle(gripper, jaw.position) - opening) <= ARRIVED
-        stands = stopped_at is not None and abs(jaw.velocity) < _STANDS
-        if stopped_at is not None and stands and (arrived or now - stopped_at >= GUARD):
+        blocked = stopped_at is not None and now - stopped_at >= GUARD
+        if abs(jaw.velocity) < _STANDS and (arrived or blocked):
             state = body.state("grip")
             return GripReport(True, abs(state.opening - opening) > ARRIVED, state.opening, state.gripper_load)
         if now > deadline:

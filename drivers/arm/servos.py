@@ -83,9 +83,9 @@ def servos_of(description: ArmDescription) -> tuple[Servo, ...]:
     narrow, wide = gripper.opening
     ends = sorted(angle_from_opening(gripper, end) for end in (narrow - JAW_MARGIN, wide + JAW_MARGIN))
     model = _model(description, gripper.model)
-    # The jaws make steps, which the factory's D brings to rest without overshoot; I would wind up on a part.
+    # The jaws make steps: half of the factory's D brings them to rest soonest. I would wind up on a part.
     p, _, d = model.position_gains
-    jaw = Servo("gripper", gripper.servo_id, model, gripper.reverse, _limits(*ends), (p, 0, d))
+    jaw = Servo("gripper", gripper.servo_id, model, gripper.reverse, _limits(*ends), (p, 0, d // 2))
     return (*joints, jaw, *shadows)
 
 
