@@ -13,10 +13,9 @@ from typing import Any
 from controller.errors import SorterError
 from controller.service.control import REPLY_TIMEOUT, SOCKET
 from controller.service.folders import state_folder
+from controller.service.unit import RUNTIME
 from controller.service.unix_socket import address_of, connect
 
-SERVICE_FOLDER = Path("/run/sorter")
-"""The shipped unit's RuntimeDirectory: it exists while the service runs; see configs/systemd/controller.service."""
 _AT_REST = ("STOPPED", "ABORTED")
 _MAX_REPLY = 4_000_000  # bytes; a full list of alarms is a twentieth of it
 
@@ -39,7 +38,7 @@ def runtime_folder() -> Path:
     return Path(given.split(os.pathsep)[0]) if given else state_folder()
 
 
-def folder_of_running_cell(service: Path = SERVICE_FOLDER) -> Path:
+def folder_of_running_cell(service: Path = RUNTIME) -> Path:
     """Folder to look for a cell in: the installed service's when that is running, else as `runtime_folder`."""
     if "RUNTIME_DIRECTORY" not in os.environ and service.is_dir():
         return service

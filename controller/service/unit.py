@@ -20,6 +20,9 @@ from controller.errors import SorterError
 
 UNIT = "controller.service"
 CONFIG = Path("/etc/sorter/cell.toml")
+STATE = Path("/var/lib/sorter")
+RUNTIME = Path("/run/sorter")
+"""The unit's StateDirectory, and its RuntimeDirectory, which is there while the service runs."""
 _SYSUSERS = Path("/etc/sysusers.d/sorter.conf")
 _PLACES = {
     "systemd/controller.service": Path("/etc/systemd/system") / UNIT,

@@ -1,0 +1,67 @@
+"""`controller doctor`: what is wrong with this machine and cell, and what to do about it."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from controller.service import unit
+from controller.service.doctor.case import Case
+from controller.service.doctor.examine import examine, worst
+from controller.service.doctor.finding import Finding, Level
+from controller.service.folders import state_folder
+
+_STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
+
+
+def doctor(
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help=f"The cell's TOML file [default: {unit.CONFIG}, when it is there]."),
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of ledger and calibration [default: the service's].")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> int:
+    """Look at software, disk, clock, calibration, ledger and devices; changes nothing and moves nothing.
+
+    The exit code is 1 when a check has failed; warnings alone give 0.
+
+    Example: controller doctor --config my-cell.toml
+    """
+    if config is None and unit.CONFIG.is_file():
+        config = unit.CONFIG
+    findings = examine(Case(state or _state_folder(), config))
+    verdict = worst(findings)
+    if as_json:
+        print(json.dumps({"verdict": str(verdict), "checks": [finding.to_json() for finding in findings]}))
+    else:
+        _table(findings, verdict)
+    return 1 if verdict is Level.FAILED else 0
+
+
+def _state_folder() -> Path:
+    """The service's folder where a service is installed, else one's own."""
+    service = unit.STATE
+    return service if "STATE_DIRECTORY" not in os.environ and service.is_dir() else state_folder()
+
+
+def _table(findings: list[Finding], verdict: Level) -> None:
+    grid = Table(box=None, show_header=False, pad_edge=False)
+    for finding in findings:
+        grid.add_row(Text(str(finding.level), style=_STYLES[finding.level]), finding.name, Text(finding.finding))
+        if finding.remedy:
+            grid.add_row("", "", Text(f"-> {finding.remedy}", style="italic"))
+    console = Console()
+    console.print(grid)
+    counts = {level: sum(finding.level is level for finding in findings) for level in Level}
+    bad = f"{counts[Level.FAILED]} failed, {counts[Level.WARNING]} warnings"
+    console.print(f"{len(findings)} checks: " + ("all well" if verdict is Level.OK else bad))

@@ -1,0 +1,79 @@
+"""All checks, in the order in which one would mend things."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from controller.config.arm import load_arm
+from controller.config.cell import load_cell
+from controller.errors import SorterError
+from controller.service.doctor import cell, devices, host, software
+from controller.service.doctor.case import Case
+from controller.service.doctor.finding import Finding, Level, failed, ok, warning
+from controller.vision.recipe import load_recipe
+
+Check = Callable[[Case], Finding | list[Finding] | None]
+
+_ALWAYS: dict[str, Check] = {
+    "python": software.python,
+    "libraries": software.libraries,
+    "sqlite": software.sqlite,
+    "unit": software.exposure,
+    "disk": host.disk,
+    "clock": host.clock,
+    "supply": host.supply,
+    "instance": cell.instance,
+    "ledger": cell.ledger,
+}
+_OF_A_CELL: dict[str, Check] = {
+    "calibration": cell.calibration,
+    "device files": devices.nodes,
+    "latency timer": devices.latency,
+    "devices": devices.opened,
+}
+
+
+def examine(case: Case) -> list[Finding]:
+    """Make every check that the case allows; blocks for some seconds when devices are opened."""
+    findings = _made(_ALWAYS, case)
+    verdict, case = _configuration(case)
+    findings.append(verdict)
+    if case.cell is not None and case.arm is not None:
+        findings += _made(_OF_A_CELL, case)
+    return findings
+
+
+def worst(findings: list[Finding]) -> Level:
+    """The level of the worst finding."""
+    order = list(Level)
+    return max((finding.level for finding in findings), key=order.index, default=Level.OK)
+
+
+def _configuration(case: Case) -> tuple[Finding, Case]:
+    """The configuration can be read; and the case with what it says."""
+    name = "configuration"
+    if case.config is None:
+        remedy = "name it: controller doctor --config FILE"
+        return warning(name, "none was named: calibration and devices were not looked at", remedy), case
+    try:
+        found = load_cell(case.config)
+        arm = load_arm(found.arm.description)
+        load_recipe(found.vision.recipe)
+    except SorterError as error:
+        return failed(name, error.cause, error.remedy), case
+    text = f"{case.config}: {arm.title}, {len(found.bins)} bins, {len(found.sorting.rules)} rules"
+    return ok(name, text), dataclasses.replace(case, cell=found, arm=arm)
+
+
+def _made(checks: dict[str, Check], case: Case) -> list[Finding]:
+    findings: list[Finding] = []
+    for name, check in checks.items():
+        try:
+            found = check(case)
+        except SorterError as error:
+            found = failed(name, error.cause, error.remedy)
+        except Exception as error:  # one check that goes wrong must not keep the others from being made
+            found = failed(name, f"could not be examined: {type(error).__name__}: {error}", "please report this")
+        findings += found if isinstance(found, list) else [] if found is None else [found]
+    return findings
