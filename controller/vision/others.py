@@ -58,6 +58,10 @@ def other_objects(
         covered = abs(float(cv2.contourArea(polygon)))
         inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
         pieces = {i for i in inside if i in hidden}
+        total = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside)
+        if total > 0.85 * covered and not _aligned([known[i] for i in pieces]):
+            # Whole shapes side by side, of one colour but at an angle: parts that touch.
+            pieces = set()
         explained = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside if i not in pieces)
         whole = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in pieces]
         if any(_contains(outline, _middle(polygon)) for outline in whole):
@@ -82,6 +86,18 @@ def other_objects(
             continue
         chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN)))
     return chosen, merged if chosen else set()
+
+
+def _aligned(outlines: list[Floats]) -> bool:
+    """Whether two four-sided outlines lie along the same directions, as the arms of an L do."""
+    turns = []
+    for outline in outlines:
+        if len(outline) == 4:
+            side = outline[1] - outline[0]
+            turns.append(math.degrees(math.atan2(side[1], side[0])) % 90.0)
+    return any(
+        min(abs(a - b), 90.0 - abs(a - b)) < 3.0 for i, a in enumerate(turns) for b in turns[i + 1 :]
+    )
 
 
 def _contains(polygon: NDArray[np.float32], point: Floats) -> bool:

@@ -60,7 +60,7 @@ def search(
     if plane is not None:
         # Beyond the horizon of the plane there is nothing to measure.
         near = centers * factor + (factor - 1) / 2.0
-        usable = usable & np.isfinite(plane.to_plane(near)).all(axis=1)
+        usable = np.logical_and(usable, np.isfinite(plane.to_plane(near)).all(axis=1))
     regions = [item for item, use in zip(regions, usable, strict=True) if use]
     if not regions:
         return []

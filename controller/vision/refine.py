@@ -42,6 +42,7 @@ class Refined:
         contrast: Difference across the edge in units of the pixel noise.
         levels: The same in gray levels (root mean square over the channels).
         misfit: How far the outline strays from the fitted one beyond the noise, px (rms, trimmed).
+        chi: Mean squared stray in units of its own deviation: tells rivals apart that both fit.
         seen: ndarray of shape (CHUNKS,), dtype bool: where an edge is to be seen.
         blank: ndarray of shape (CHUNKS,), dtype bool: where inside and outside look the same.
         strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
@@ -53,6 +54,7 @@ class Refined:
     contrast: float
     levels: float
     misfit: float
+    chi: float
     seen: NDArray[np.bool_]
     blank: NDArray[np.bool_]
     strays: Floats
@@ -179,9 +181,9 @@ class _State:
     free: Floats
     weight: Floats
     bell: Floats
+    unlit: Floats
     lines: Floats
     around: Floats
-    energy: Floats
     inner: Floats
 
 
@@ -273,7 +275,7 @@ def _rounds(
         energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
         around = np.einsum("kcd,kcd->kc", dark, value * scaled) / energy
         rest = (value - around[..., None] * unlit) * root * free
-        state = _State(rest, free, weight, bell, lines, around, energy, inner)
+        state = _State(rest, free, weight, bell, unlit, lines, around, inner)
         if step == rounds:
             return state
         if step > 0:
@@ -316,7 +318,9 @@ def _agreement(state: _State) -> Floats:
     middle = np.median(stray, axis=1, keepdims=True)
     spread = 1.4826 * np.median(np.abs(stray - middle), axis=1, keepdims=True)
     limit = 4.0 * np.maximum(spread, 0.04) + 3.0 / np.sqrt(np.maximum(information, 1e-9))
-    return np.asarray((1.0 - np.minimum(np.abs(stray - middle) / limit, 1.0) ** 2) ** 2)
+    weight = (1.0 - np.minimum(np.abs(stray - middle) / limit, 1.0) ** 2) ** 2
+    # Not quite nothing: the surroundings of a chunk are still to be estimated.
+    return np.asarray(np.maximum(weight, 1e-4))
 
 
 def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floats:
@@ -405,7 +409,8 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     error = 1.0 / np.maximum(information, 1e-9)
     loose = np.maximum(1.0, 0.02 * size)[:, None]
     level = math.sqrt(float(noise.trace()) / 3.0)
-    blank = (state.around * np.sqrt(state.energy) < 5.0) | (state.around * level < 2.5)
+    energy = np.einsum("kcd,kcd->kc", state.free * state.lines[..., None], state.unlit**2)
+    blank = (state.around * np.sqrt(energy) < 5.0) | (state.around * level < 2.5)
     seen = ~blank & (np.abs(stray) < loose)
     contrast = np.median(state.around, axis=1)
     out: list[Refined | None] = []
@@ -422,9 +427,11 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
         excess = np.sort((stray[i] ** 2 - error[i])[seen[i] & (information[i] > 0.0)])
         kept = excess[: max(1, round(_KEPT * len(excess)))] if len(excess) else np.array([np.inf])
         misfit = math.sqrt(max(float(kept.mean()), 0.0))
+        ratio = np.sort((stray[i] ** 2 * information[i])[seen[i]])
+        chi = float(ratio[: max(1, round(_KEPT * len(ratio)))].mean()) if len(ratio) else math.inf
         out.append(
             Refined(
-                q, float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level, misfit,
+                q, float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level, misfit, chi,
                 seen[i], blank[i], stray[i], state.inner[i],
             )
         )  # fmt: skip

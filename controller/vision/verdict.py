@@ -189,6 +189,8 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
         softest = 1.7 * float(np.median(blurs)) + 0.4
         good = [item for item in good if item.refined.blur <= softest]
 
+    good = [item for item in good if not any(_rival(item, other) for other in good)]
+
     def rank(item: _Judged) -> float:
         return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
 
@@ -209,6 +211,13 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
     return accepted
 
 
+def _rival(item: _Judged, other: _Judged) -> bool:
+    """Whether another family explains the same outline better."""
+    if other is item or other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
+        return False
+    return other.refined.chi < item.refined.chi and _overlap(item.outline, other.outline) > 0.85
+
+
 def _table_like(scene: Scene, item: _Judged) -> bool:
     """Whether the rim inside an outline looks like the table: a patch of table between objects."""
     strength = np.linalg.norm(scene.strengths(_sampled(item.outline), 0.85), axis=1)
@@ -227,7 +236,7 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
 
 def _merged(scene: Scene, item: _Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.blank.mean()) > 0.08
+    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.blank.mean()) > 0.1
 
 
 def _overlap(a: Floats, b: Floats) -> float:
