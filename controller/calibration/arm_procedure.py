@@ -69,7 +69,7 @@ def calibrate_arm(
         progress(f"pose {index} of {len(wanted)}")
         move_to(pose)
         clock.sleep(SETTLE)
-        found = view.marker.find(camera.capture(clock.now()).image)
+        found = view.marker.find(camera.capture(clock.now()).image, lens.camera)
         if found is not None:
             seen.append(Observation(np.asarray(arm.state().positions), found))
     return fit_arm(view, seen, lens.calibration_id, table.calibration_id)

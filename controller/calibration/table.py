@@ -20,7 +20,10 @@ from controller.geometry import CameraModel, PlaneMap, invert, pose_from_rvec
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-#: A board found and a lens known leave 0.1 to 0.6 px; more means another camera, focus or board.
+#: The sheet fits the lens about as well as the lens' own views did; three times worse, and not below half
+#: a pixel, means another camera, focus or board.
+RMS_RATIO, RMS_FLOOR_PX = 3.0, 0.5
+#: The limit when the lens' own figure is not known.
 MAX_RMS_PX = 1.5
 
 
@@ -150,9 +153,10 @@ def calibrate_table(
         )
     T_camera_board = board_pose(points, pixels, camera.camera)
     rms_px = float(np.sqrt(((_seen(points, T_camera_board, camera.camera) - pixels) ** 2).sum(axis=1).mean()))
-    if not rms_px <= MAX_RMS_PX:
+    limit = max(RMS_RATIO * camera.rms_px, RMS_FLOOR_PX) if camera.rms_px > 0.0 else MAX_RMS_PX
+    if not rms_px <= limit:
         raise CalibrationPoorFit(
-            f"the lens does not fit the board on the table: {rms_px:.2f} px, limit {MAX_RMS_PX} px",
+            f"the lens does not fit the board on the table: {rms_px:.2f} px, limit {limit:.2f} px",
             "check the board's SPEC and that the lens file belongs to this camera and focus",
         )
     T_table_camera = T_TABLE_BOARD @ invert(T_camera_board)

@@ -194,7 +194,7 @@ class Cell:
         # The print's y runs down and its z away from the reader; the marker's the other way.
         over = np.diag([1.0, -1.0, -1.0, 1.0])
         T = invert(self.m.T_table_camera) @ self.m.tool(self.q) @ self.m.T_tool_marker @ over
-        gray = paint(self.print, 0.125, T, LENS)
+        gray = paint(self.print, 0.125, T, LENS, samples=5)
         return Frame(self.frames, after, np.repeat(gray[..., None], 3, axis=2))
 
 

@@ -12,7 +12,7 @@ from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import board_pose_for, calibrate_by_showing, wanted_views
 from controller.calibration.table import TableCalibration, calibrate_table, table_from_json
 from controller.errors import CalibrationPoorFit, CalibrationStale, InputError
-from controller.geometry import PlaneMap, invert, pose, pose_from_rvec, transform
+from controller.geometry import CameraModel, PlaneMap, invert, pose, pose_from_rvec, transform
 from tests.unit.calibration.scene import DOWN, LENS, Studio, paint, small_lens
 
 BOARD = parse_board("charuco:10x7:25:18:DICT_5X5_100")
@@ -62,7 +62,10 @@ def test_frames_are_averaged():
     one = calibrate_table(frames[:1], KNOWN, BOARD)
     ten = calibrate_table(frames, KNOWN, BOARD)
     assert (one.frames, ten.frames) == (1, 10)
-    assert ten.rms_px < 0.7 * one.rms_px
+    # What 8-bit pictures of sharp edges leave (0.03 px) does not average out.
+    assert ten.rms_px < 0.85 * one.rms_px
+    far = [grid_error(LENS, found.T_table_camera, LENS, T_TABLE_CAMERA, 0.0).mean() for found in (one, ten)]
+    assert far[1] < far[0]
 
 
 def test_what_cannot_be_a_table_is_refused():
@@ -75,10 +78,8 @@ def test_what_cannot_be_a_table_is_refused():
     with pytest.raises(CalibrationPoorFit, match="moved"):
         calibrate_table([("a.png", lying()), ("b.png", lying(moved))], KNOWN, BOARD)
     with pytest.raises(CalibrationPoorFit, match="lens does not fit"):
-        bare = CameraCalibration("x", small_lens(), 0.1, 20)
-        wrong = CameraCalibration("x", type(LENS)(LENS.matrix, np.array([0.3, 0.0, 0.0, 0.0]), LENS.image_size), 0.1, 9)
-        assert bare.camera.image_size != wrong.camera.image_size
-        calibrate_table([("a.png", lying())], wrong, BOARD)
+        other = CameraModel(LENS.matrix, np.array([0.3, 0.0, 0.0, 0.0]), LENS.image_size)
+        calibrate_table([("a.png", lying())], CameraCalibration("x", other, 0.1, 20), BOARD)
 
 
 def test_a_table_belongs_to_its_lens(tmp_path):
@@ -123,17 +124,21 @@ def test_wanted_views_tilt_reach_the_corners_and_stay_in_the_picture():
         places.append(pixels[inside])
     seen = np.vstack(places) / np.array(LENS.image_size)
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        assert np.abs(seen - corner).max(axis=1).min() < 0.06
+        # A tenth of the picture: beyond the last corners the lens terms carry on by themselves.
+        assert np.abs(seen - corner).max(axis=1).min() < 0.1
 
 
 def test_the_guided_procedure_finds_lens_and_table():
     lens = small_lens()
-    studio = Studio(lens, T_TABLE_CAMERA)
+    # Half the height makes up for half the resolution, so that the markers can be read.
+    T_table_camera = pose(20.0, -15.0, 400.0, yaw=1.5) @ pose_from_rvec([math.pi - 0.08, 0.05, 0], [0, 0, 0])
+    studio = Studio(lens, T_table_camera)
     lines = []
     camera, table = calibrate_by_showing(studio, studio, BOARD, studio, progress=lines.append)
     assert camera.views_used >= 20
-    # Half the resolution of the published study: twice its 0.13 mm, with noise of the sensor.
-    assert np.percentile(grid_error(camera.camera, table.T_table_camera, lens, T_TABLE_CAMERA, 20.0), 95) < 0.6
+    # Averaged frames and 20 good views at 0.1 px leave 0.09 mm at the 95th percentile at 0.54 mm a pixel
+    # (published study); here a pixel is 0.8 mm.
+    assert np.percentile(grid_error(camera.camera, table.T_table_camera, lens, T_table_camera, 20.0), 95) < 0.25
     assert table.frames == 10
     assert lines[0] == "view 1 of 22" and "px" in lines[-1]
     assert (studio.picture == 128).all()  # nothing is left lying
