@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from dynamixel_sdk import (
@@ -54,22 +55,33 @@ def port(served: PtyBus, baud: int) -> Iterator[PortHandler]:
 packets = PacketHandler(2.0)
 
 
+def insist(ask: Callable[[], tuple[Any, ...]], comm: int) -> tuple[Any, ...]:
+    """The first answer that came through, of ATTEMPTS; `comm` is where it says so."""
+    answer = ask()
+    for _ in range(ATTEMPTS - 1):
+        if answer[comm] == COMM_SUCCESS:
+            break
+        answer = ask()
+    return answer
+
+
 def test_ping_and_broadcast_ping(port: PortHandler) -> None:
-    assert packets.ping(port, 3) == (1020, COMM_SUCCESS, 0)
-    found, result = packets.broadcastPing(port)
+    assert insist(lambda: packets.ping(port, 3), 1) == (1020, COMM_SUCCESS, 0)
+    found, result = insist(lambda: packets.broadcastPing(port), 1)
     assert result == COMM_SUCCESS
     assert sorted(found) == list(IDS)
 
 
 def test_registers_one_by_one(port: PortHandler) -> None:
-    assert packets.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
-    assert packets.write1ByteTxRx(port, 1, 9, 5) == (COMM_SUCCESS, 7)
-    assert packets.read4ByteTxRx(port, 1, 132) == (2048, COMM_SUCCESS, 0)
-    assert packets.regWriteTxRx(port, 1, 65, 1, [1]) == (COMM_SUCCESS, 0)
+    done = (COMM_SUCCESS, 0)
+    assert insist(lambda: packets.write1ByteTxRx(port, 1, 64, 1), 0) == done
+    assert insist(lambda: packets.write1ByteTxRx(port, 1, 9, 5), 0) == (COMM_SUCCESS, 7)
+    assert insist(lambda: packets.read4ByteTxRx(port, 1, 132), 1) == (2048, *done)
+    assert insist(lambda: packets.regWriteTxRx(port, 1, 65, 1, [1]), 0) == done
     assert packets.action(port, 0xFE) == COMM_SUCCESS
-    assert packets.read1ByteTxRx(port, 1, 65)[0] == 1
-    assert packets.clearMultiTurn(port, 2) == (COMM_SUCCESS, 0)
-    assert packets.reboot(port, 1) == (COMM_SUCCESS, 0)
+    assert insist(lambda: packets.read1ByteTxRx(port, 1, 65), 1)[0] == 1
+    assert insist(lambda: packets.clearMultiTurn(port, 2), 0) == done
+    assert packets.reboot(port, 1) == done
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -102,7 +114,7 @@ def test_another_baud_rate_is_met_with_silence(served: PtyBus, port: PortHandler
     assert port.setBaudRate(57_600)
     assert packets.ping(port, 1)[1] != COMM_SUCCESS
     assert port.setBaudRate(1_000_000)
-    assert packets.ping(port, 1)[1] == COMM_SUCCESS
+    assert insist(lambda: packets.ping(port, 1), 1)[1] == COMM_SUCCESS
 
 
 @pytest.mark.parametrize("baud", [1_000_000], indirect=True)
@@ -131,7 +143,7 @@ def test_unplugging_hangs_up_and_replugging_returns_under_the_same_link(tmp_path
         port = PortHandler(str(link))
         assert port.openPort()
         assert port.setBaudRate(baud)
-        assert packets.ping(port, 1)[1] == COMM_SUCCESS
+        assert insist(lambda: packets.ping(port, 1), 1)[1] == COMM_SUCCESS
         port.closePort()
     assert not link.is_symlink()
 
