@@ -37,24 +37,17 @@ class Whitened:
     table_colour: Floats
 
 
-def whiten(
-    image: Floats32, region: NDArray[np.uint8] | None = None, empty: Floats32 | None = None
-) -> Whitened:
+def whiten(image: Floats32, empty: Floats32 | None = None) -> Whitened:
     """The frame's whitened difference from the table.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype float32, smoothed.
-        region: Where the table is, non-zero inside; the whole image when None.
         empty: The same view of the empty table, same shape; None to estimate the table from the frame.
     """
     height, width = image.shape[:2]
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
     ys, xs = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     ys, xs = ys.ravel(), xs.ravel()
-    if region is not None:
-        inside = region[ys, xs] > 0
-        if inside.sum() > 50:
-            ys, xs = ys[inside], xs[inside]
     reference = image if empty is None else image - empty
     samples = reference[ys, xs].astype(np.float64)
     coefficients, order, weight = _robust_surface(samples, xs / width - 0.5, ys / height - 0.5)

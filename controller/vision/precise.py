@@ -41,7 +41,7 @@ def search(
     if region is not None:
         mask = cv2.resize(region, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     watch.lap("reduce")
-    white = whiten(small, np.asarray(mask) if mask is not None else None, empty)
+    white = whiten(small, empty)
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
     regions, maps_ = propose(white, settings.level, smallest)
@@ -50,17 +50,18 @@ def search(
     pieces = [piece for item in regions if item.cue != "edge" for piece in split_necks(item, smallest)]
     if mask is not None:
         pieces, regions = _within(pieces, np.asarray(mask)), _within(regions, np.asarray(mask))
-    regions = _distinct(regions + pieces, small.shape)
+    sides = plane is not None and plane.height > 0.0
+    regions = _distinct(regions + pieces, small.shape, 0.02 if sides else 0.06)
     watch.lap("propose")
     if not regions:
         return []
     centers = np.array([_center(item.contour) for item in regions])
     radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
-    usable: NDArray[np.bool_] = np.isfinite(radii).all(axis=1)
+    usable = np.asarray(np.isfinite(radii).all(axis=1))
     if plane is not None:
         # Beyond the horizon of the plane there is nothing to measure.
         near = centers * factor + (factor - 1) / 2.0
-        usable = np.logical_and(usable, np.isfinite(plane.to_plane(near)).all(axis=1))
+        usable &= np.isfinite(plane.to_plane(near)).all(axis=1)
     regions = [item for item, use in zip(regions, usable, strict=True) if use]
     if not regions:
         return []
@@ -131,8 +132,11 @@ def _within(regions: list[Region], mask: NDArray[np.uint8]) -> list[Region]:
     return out
 
 
-def _distinct(regions: list[Region], shape: tuple[int, ...]) -> list[Region]:
-    """Regions without near copies of one another, and without those that fill most of the frame."""
+def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> list[Region]:
+    """Regions without near copies of one another, and without those that fill most of the frame.
+
+    Copies are regions whose boxes differ by less than half a pixel and a share of their size.
+    """
     kept: list[Region] = []
     seen: list[tuple[float, float, float, float]] = []
     limit = 0.5 * shape[0] * shape[1]
@@ -141,7 +145,7 @@ def _distinct(regions: list[Region], shape: tuple[int, ...]) -> list[Region]:
         if w * h > limit:
             continue
         box = (float(x), float(y), float(x + w), float(y + h))
-        tolerance = 0.06 * max(w, h) + 0.5
+        tolerance = share * max(w, h) + 0.5
         if any(max(abs(a - b) for a, b in zip(box, other, strict=True)) < tolerance for other in seen):
             continue
         seen.append(box)

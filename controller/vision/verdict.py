@@ -127,7 +127,7 @@ def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[
 
 def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
     """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
-    settings, maps = scene.settings, scene.maps
+    maps = scene.maps
     judged: list[_Judged] = []
     tried: list[Hypothesis] = []
     blur = 1.0
@@ -142,22 +142,50 @@ def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
                 continue
             tried.append(h)
             wanted.append(h)
-        refined = refine(
-            scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
-            [h.region for h in wanted], blur,
-        )  # fmt: skip
-        for h, r in zip(wanted, refined, strict=True):
-            if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
-                continue
-            outline = maps.to_pixels(h.region, vertices(h.family, r.q))
-            if not np.isfinite(outline).all():
-                continue
-            covered = float(area(h.family, r.q[None])[0])
-            allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
-            judged.append(_Judged(h, r, r.misfit / allowed, outline, covered))
+        judged += _judged(scene, wanted, blur)
         good = [j.refined.blur for j in judged if j.badness < 1.0]
         blur = float(np.median(good)) if good else blur
+    if scene.sides:
+        judged += _judged(scene, [_top_within(scene, j) for j in judged if j.badness < 1.0], blur)
     return judged
+
+
+def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[_Judged]:
+    """Hypotheses refined, those with a visible outline."""
+    settings, maps = scene.settings, scene.maps
+    refined = refine(
+        scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
+        [h.region for h in wanted], blur,
+    )  # fmt: skip
+    out = []
+    for h, r in zip(wanted, refined, strict=True):
+        if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
+            continue
+        outline = maps.to_pixels(h.region, vertices(h.family, r.q))
+        if not np.isfinite(outline).all():
+            continue
+        covered = float(area(h.family, r.q[None])[0])
+        allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
+        out.append(_Judged(h, r, r.misfit / allowed, outline, covered))
+    return out
+
+
+def _top_within(scene: Scene, item: _Judged) -> Hypothesis:
+    """Where the top face would be if an outline were the silhouette of a part with visible sides."""
+    assert scene.plane is not None
+    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q.copy()
+    below = foot(item.outline, scene.plane, 2.0 * scene.plane.height)
+    inwards = (scene.maps.to_local(k, below) - scene.maps.to_local(k, item.outline)).mean(axis=0)
+    q[:2] -= 0.5 * inwards
+    if family is CIRCLE:
+        q[2] -= 0.25 * float(np.linalg.norm(inwards))
+    else:
+        turns = q[2 + family.sizes :][family.turn_of] + family.normals
+        facing = np.abs(np.cos(turns) * inwards[0] + np.sin(turns) * inwards[1])
+        for size in range(family.sizes):
+            q[2 + size] -= 0.5 * float(facing[family.size_of == size].mean())
+    q[2 : 2 + family.sizes] = np.maximum(q[2 : 2 + family.sizes], 2.0)
+    return Hypothesis(k, family, q, item.hypothesis.cost, item.hypothesis.inliers, item.hypothesis.size)
 
 
 def _slack(scene: Scene, outline: Floats) -> float:
@@ -165,15 +193,15 @@ def _slack(scene: Scene, outline: Floats) -> float:
     if not scene.sides or scene.plane is None:
         return 0.0
     shift = float(np.linalg.norm((foot(outline, scene.plane, 2.0 * scene.plane.height) - outline).mean(axis=0)))
-    return min(0.7, 0.12 * shift) if math.isfinite(shift) else 0.0
+    return min(0.4, 0.06 * shift) if math.isfinite(shift) else 0.0
 
 
 def _same(a: Hypothesis, b: Hypothesis, maps: LocalMaps) -> bool:
     """Whether two hypotheses speak of the same outline."""
-    if a.family is not b.family or abs(a.size / b.size - 1.0) > 0.08:
+    if a.family is not b.family or abs(a.size / b.size - 1.0) > 0.03:
         return False
     apart = maps.centers[a.region] + a.q[:2] - maps.centers[b.region] - b.q[:2]
-    return bool(np.abs(apart).sum() < 0.08 * a.size + 0.5)
+    return bool(np.abs(apart).sum() < 0.03 * a.size + 0.5)
 
 
 def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
@@ -208,7 +236,7 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
             chosen = min(inner, key=rank, default=item)
         if not any(_overlap(chosen.outline, other.outline) > 0.15 for other in accepted):
             accepted.append(chosen)
-    return accepted
+    return _without_shadows(scene, accepted) if scene.sides else accepted
 
 
 def _rival(item: _Judged, other: _Judged) -> bool:
@@ -222,6 +250,34 @@ def _table_like(scene: Scene, item: _Judged) -> bool:
     """Whether the rim inside an outline looks like the table: a patch of table between objects."""
     strength = np.linalg.norm(scene.strengths(_sampled(item.outline), 0.85), axis=1)
     return float(np.median(strength)) < _TABLE
+
+
+def _shadow_like(scene: Scene, item: _Judged) -> bool:
+    """Whether the rim inside an outline is the table's colour, only darker."""
+    rim = np.median(scene.strengths(_sampled(item.outline), 0.85), axis=0)
+    table = scene.white.whitener @ scene.white.table_colour
+    length = max(float(np.linalg.norm(table)), 1e-9)
+    along = float(rim @ table) / length
+    across = float(np.linalg.norm(rim - along * table / length))
+    return across < 4.0 + 0.1 * abs(along) and -0.7 * length < along < 0.0
+
+
+def _without_shadows(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
+    """Outlines that are not the rest of a shadow beside the upright part that casts it."""
+    dim = [_shadow_like(scene, item) for item in accepted]
+    casters = [
+        reach(item.outline, scene.plane).astype(np.float32)
+        for item, shadow in zip(accepted, dim, strict=True)
+        if not shadow and scene.plane is not None
+    ]
+
+    def beside(item: _Judged) -> bool:
+        points = [(float(x), float(y)) for x, y in _sampled(item.outline)]
+        return any(
+            np.mean([cv2.pointPolygonTest(caster, point, True) > -4.0 for point in points]) > 0.12 for caster in casters
+        )
+
+    return [item for item, shadow in zip(accepted, dim, strict=True) if not (shadow and beside(item))]
 
 
 def _sampled(outline: Floats, count: int = 32) -> Floats:

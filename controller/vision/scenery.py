@@ -1,0 +1,156 @@
+"""The still scenery around the work area: whether the camera was moved, the light changed, the lens went soft.
+
+Parts come and go, bins fill, but table, bin walls and the rest stay where they are in the picture. A camera that
+was bumped by a few pixels sorts millimetres beside the parts and sees nothing wrong; the scenery tells.
+
+Source: B. Lucas, T. Kanade, "An iterative image registration technique", IJCAI 1981, for the displacement;
+P. Huber, "Robust estimation of a location parameter", 1964, for the weights against what has changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Gray = NDArray[np.float32]
+Mask = NDArray[np.uint8]
+
+# Work on every fourth pixel: registration good to some hundredths of one is a tenth of a full pixel.
+_SCALE = 4
+_SMOOTH = 1.0  # px of the reduced picture; takes the noise and makes gradients linear over a step
+_ROUNDS = 12
+_DONE = 1e-3  # px of the reduced picture
+_SAME = 4.0  # of 255: noise and grain of the reduced picture stay below
+# The share of the strongest edges by which sharpness is judged: bin walls, not the table's grain or noise.
+_EDGES = 99.5
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How a picture's scenery differs from the reference.
+
+    Attributes:
+        displacement: Root mean square over the still pixels of how far they have moved, px of the full picture.
+        agreement: Correlation of the scenery with the reference after undoing that move, at most 1; low when
+            the view is another one or covered, and the displacement then means nothing.
+        brightness: Median ratio to the reference.
+        sharpness: Ratio of the strongest edges to those of the reference, the brightness taken out.
+    """
+
+    displacement: float
+    agreement: float
+    brightness: float
+    sharpness: float
+
+
+class Scenery:
+    """The reference, from a picture taken when all was well.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8, BGR.
+        still: ndarray of shape (H, W), dtype uint8: non-zero where nothing is supposed to change.
+
+    Raises:
+        ValueError: Too little of the picture is still, or it shows nothing to hold on to.
+    """
+
+    def __init__(self, image: NDArray[np.uint8], still: Mask) -> None:
+        self._reference = _reduced(image)
+        height, width = self._reference.shape
+        mask = cv2.resize(still, (width, height), interpolation=cv2.INTER_AREA) == 255
+        # A border of the reduced picture is lost when it is shifted back.
+        mask[:3], mask[-3:], mask[:, :3], mask[:, -3:] = False, False, False, False
+        self._rows, self._columns = np.nonzero(mask)
+        if len(self._rows) < 1000:
+            raise ValueError("too little of the picture is still to tell a move of the camera")
+        gradient_x = cv2.Scharr(self._reference, cv2.CV_32F, 1, 0)[mask] / 32.0
+        gradient_y = cv2.Scharr(self._reference, cv2.CV_32F, 0, 1)[mask] / 32.0
+        # Similarity about the middle, in units that make all four unknowns shifts of about the same size.
+        self._radius = max(height, width) / 2.0
+        x = (self._columns - (width - 1) / 2.0) / self._radius
+        y = (self._rows - (height - 1) / 2.0) / self._radius
+        self._x, self._y = x, y
+        self._jacobian = np.column_stack(
+            [gradient_x, gradient_y, gradient_y * x - gradient_x * y, gradient_x * x + gradient_y * y]
+        ).astype(np.float64)
+        self._wanted = self._reference[mask].astype(np.float64)
+        self._edges = self._edge_strength(self._reference)
+        self._mask = mask
+        normal = self._jacobian.T @ self._jacobian
+        self._ridge = np.eye(4) * 1e-6 * float(np.trace(normal))
+        if np.linalg.cond(normal) > 1e6 or self._edges <= 0.0:
+            raise ValueError("the still part of the picture shows nothing to hold on to")
+
+    def compare(self, image: NDArray[np.uint8]) -> Change:
+        """How far the scenery of a picture of the same size has changed; blocks for some milliseconds."""
+        picture = _reduced(image)
+        brightness = float(np.median(picture[self._mask]) / max(float(np.median(self._wanted)), 1.0))
+        sharpness = float(self._edge_strength(picture) / self._edges / max(brightness, 1e-3))
+        levelled = picture / max(brightness, 1e-3)
+        # Two explanations: all has moved a little or much, or nothing has and some of the scene is another one.
+        still = self._settle(levelled, np.zeros(4), _tukey)
+        moved = self._settle(levelled, self._settle(levelled, np.zeros(4), _huber)[0], _tukey)
+        move, kept = max(still, moved, key=lambda found: found[1])
+        dx, dy = self._displacement(move)
+        return Change(float(np.sqrt(np.mean(dx**2 + dy**2))) * _SCALE, kept, brightness, sharpness)
+
+    def _settle(
+        self, picture: Gray, move: NDArray[np.float64], weigh: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    ) -> tuple[NDArray[np.float64], float]:
+        """The move near `move` that explains the picture best, and the part of the still pixels it explains."""
+        for _ in range(_ROUNDS):
+            difference = self._seen(picture, move) - self._wanted
+            weighted = self._jacobian * weigh(difference)[:, None]
+            normal = weighted.T @ self._jacobian + self._ridge
+            step = np.linalg.solve(normal, weighted.T @ difference)
+            move = move - step
+            if float(np.abs(step).max()) < _DONE:
+                break
+        explained = np.abs(self._seen(picture, move) - self._wanted) < _SAME
+        return move, float(np.mean(explained))
+
+    def _displacement(self, move: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        shift_x, shift_y, turn, growth = move
+        return shift_x - turn * self._y + growth * self._x, shift_y + turn * self._x + growth * self._y
+
+    def _seen(self, picture: Gray, move: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The picture where the still pixels would be after the move."""
+        dx, dy = self._displacement(move)
+        columns = (self._columns + dx).astype(np.float32)[:, None]
+        rows = (self._rows + dy).astype(np.float32)[:, None]
+        # One column, in pieces: remap takes no picture longer than 32767.
+        parts = [
+            cv2.remap(picture, columns[i : i + 30000], rows[i : i + 30000], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+            for i in range(0, len(columns), 30000)
+        ]
+        return np.concatenate(parts)[:, 0].astype(np.float64)
+
+    def _edge_strength(self, picture: Gray) -> float:
+        dx = cv2.Scharr(picture, cv2.CV_32F, 1, 0)[self._rows, self._columns]
+        dy = cv2.Scharr(picture, cv2.CV_32F, 0, 1)[self._rows, self._columns]
+        return float(np.percentile(np.hypot(dx, dy), _EDGES))
+
+
+def _huber(difference: NDArray[np.float64]) -> NDArray[np.float64]:
+    size = np.abs(difference)
+    return np.minimum(1.0, 1.345 * _spread(size) / np.maximum(size, 1e-9))
+
+
+def _tukey(difference: NDArray[np.float64]) -> NDArray[np.float64]:
+    size = np.abs(difference)
+    return np.maximum(0.0, 1.0 - (size / (4.685 * _spread(size))) ** 2) ** 2
+
+
+def _spread(size: NDArray[np.float64]) -> float:
+    """Standard deviation of the undisturbed part, from the median of the absolute differences."""
+    return max(1.4826 * float(np.median(size)), 0.25)
+
+
+def _reduced(image: NDArray[np.uint8]) -> Gray:
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    small = cv2.resize(gray, None, fx=1.0 / _SCALE, fy=1.0 / _SCALE, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(small.astype(np.float32), (0, 0), _SMOOTH), np.float32)
