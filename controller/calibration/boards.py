@@ -28,6 +28,8 @@ T_TABLE_BOARD: Array = np.diag([1.0, -1.0, -1.0, 1.0])
 MIN_CORNERS = 8
 #: Largest half width of the sub-pixel window, px: a wider one sees the lens bend the edges.
 MAX_WINDOW = 5
+#: Points sampled along each edge.
+_EDGE_POINTS = 12
 #: Standard deviation of the smoothing before refinement, px.
 _SMOOTHING = 0.7
 
@@ -114,6 +116,28 @@ class Board:
         x = (np.arange(columns) - (columns - 1) / 2) * self.pitch
         y = (np.arange(rows) - (rows - 1) / 2) * self.pitch
         return np.column_stack([np.tile(x, rows), np.repeat(y, columns), np.zeros(columns * rows)])
+
+    @property
+    def free(self) -> float:
+        """How far from an edge between two squares nothing else is printed, as a share of the pitch.
+
+        Most of the margin between marker and square, or of a square: perspective may narrow it.
+        """
+        if self.kind is BoardKind.CHARUCO:
+            return 0.8 * (self.pitch - self.marker) / 2 / self.pitch
+        return 0.4
+
+    def edge_points(self) -> tuple[Array, Array]:
+        """Points (N, 3) on the edges between neighbouring corners, and each edge's vector (N, 3), `board`, mm."""
+        corners = self.corners
+        columns = round((corners[:, 0].max() - corners[0, 0]) / self.pitch) + 1
+        grid_ = corners.reshape(-1, columns, 3)
+        pairs = ((grid_[:, :-1], grid_[:, 1:]), (grid_[:-1], grid_[1:]))
+        starts = np.concatenate([a.reshape(-1, 3) for a, _ in pairs])
+        vectors = np.concatenate([(b - a).reshape(-1, 3) for a, b in pairs])
+        shares = np.linspace(0.15, 0.85, _EDGE_POINTS)
+        points = starts[:, None] + shares[:, None] * vectors[:, None]
+        return points.reshape(-1, 3), np.repeat(vectors, _EDGE_POINTS, axis=0)
 
     def draw(self, pixel_mm: float) -> NDArray[np.uint8]:
         """The print, ndarray of shape (H, W), dtype uint8, one pixel being `pixel_mm` wide.
@@ -251,9 +275,7 @@ def _find_charuco(board: Board, gray: NDArray[np.uint8]) -> tuple[Array, NDArray
     if pixels is None or ids is None or len(pixels) == 0:
         seen = 0 if markers is None else len(markers)
         raise BoardNotFound(f"no corner of {board.spec} seen ({seen} of its markers)")
-    # A marker begins this far from the corner along each side; perspective may bring it closer.
-    free = 0.8 * (board.pitch - board.marker) / 2 / board.pitch
-    refined = refine(gray, np.asarray(pixels, np.float64).reshape(-1, 2), free)
+    refined = refine(gray, np.asarray(pixels, np.float64).reshape(-1, 2), board.free)
     return refined, np.asarray(ids, np.int64).ravel()
 
 
@@ -298,7 +320,7 @@ def _find_chessboard(board: Board, gray: NDArray[np.uint8]) -> Array:
         found, corners = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:
         raise BoardNotFound(f"no {board.columns}x{board.rows} inner corners seen")
-    refined = refine(gray, np.asarray(corners, np.float64).reshape(-1, 2), 0.4)
+    refined = refine(gray, np.asarray(corners, np.float64).reshape(-1, 2), board.free)
     return _reading_order(gray, refined.reshape(board.rows, board.columns, 2)).reshape(-1, 2)
 
 

@@ -86,6 +86,15 @@ def camera_of(lens: Array, image_size: tuple[int, int]) -> CameraModel:
     return CameraModel(matrix, lens[4:12].copy() if lens[9:12].any() else lens[4:9].copy(), image_size)
 
 
+def lens_of(camera: CameraModel) -> Array:
+    """Lens vector (12,) of a camera model; terms beyond the rational model's are not carried over."""
+    matrix, lens = camera.matrix, np.zeros(12)
+    lens[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    count = min(8, len(camera.distortion))
+    lens[4 : 4 + count] = camera.distortion[:count]
+    return lens
+
+
 def solve(
     objects: Sequence[Array],
     pixels: Sequence[Array],

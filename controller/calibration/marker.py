@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.calibration import edges
 from controller.geometry import CameraModel
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ def refine_square(gray: NDArray[np.uint8], corners: Array, camera: CameraModel) 
 
     The sides hold far more of the picture than windows around the corners: 0.02 px per axis where
     `cornerSubPix` gives 0.15 and OpenCV's own fit to the thresholded contour 0.5. The lens is undone before
-    a line is fitted: over 70 px it bends one by 0.1 px.
+    a line is fitted: over 70 px it bends one by 0.1 px. Where a side cannot be followed all stay as they are.
     """
     lines = []
     for a, b, c, d in (np.roll(corners, -side, axis=0) for side in range(4)):
@@ -77,37 +78,18 @@ def refine_square(gray: NDArray[np.uint8], corners: Array, camera: CameraModel) 
         # The border is a sixth of the marker (4 by 4 cells within it): the window ends inside it.
         reach = float(np.clip(0.7 * abs(normal @ ((c + d) / 2 - (a + b) / 2)) / 6, 1.5, 3.0))
         places = a + np.linspace(0.12, 0.88, _PLACES)[:, None] * (b - a)
-        lines.append(_line(camera.rays(_edge(gray, places, normal, reach))[:, :2]))
+        across = np.tile(normal, (_PLACES, 1))
+        off = edges.offsets(gray, places, across, np.full(_PLACES, reach))
+        on = (places + off[:, None] * across)[np.isfinite(off)]
+        if len(on) < _PLACES // 2:
+            return corners
+        lines.append(edges.line(camera.rays(on)[:, :2]))
     crossings = np.array([np.cross(lines[index - 1], line) for index, line in enumerate(lines)])
     return camera.project(crossings / crossings[:, 2:])
 
 
-def _edge(gray: NDArray[np.uint8], places: Array, normal: Array, reach: float) -> Array:
-    """Places (N, 2) moved along the normal onto the edge, the centroid of the slope within `reach` px."""
-    across = reach * np.linspace(-1.0, 1.0, 13)
-    for _ in range(2):  # the second time the window is centred on the edge
-        at = (places[:, None] + across[:, None] * normal).astype(np.float32)
-        profile = cv2.remap(gray, at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        slope = np.abs(np.diff(profile.astype(np.float64), axis=1))
-        offset = (slope @ ((across[1:] + across[:-1]) / 2)) / np.maximum(slope.sum(axis=1), 1e-9)
-        places = places + offset[:, None] * normal
-    return places
-
-
-def _line(points: Array) -> Array:
-    """Homogeneous line (3,) through points (N, 2), stray ones left out."""
-    kept = points
-    for _ in range(3):
-        middle = kept.mean(axis=0)
-        direction = np.linalg.svd(kept - middle)[2][0]
-        off = np.abs((points - middle) @ np.array([direction[1], -direction[0]]))
-        kept = points[off <= 3.0 * np.median(off) + 1e-9]
-    return np.array([direction[1], -direction[0], direction[0] * middle[1] - direction[1] * middle[0]])
-
-
 #: Points along a side.
 _PLACES = 24
-_NO_MAP: Any = None
 
 
 @cache
