@@ -12,6 +12,7 @@ page `dxl/crc`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from dynamixel_sdk import robotis_def
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
@@ -61,6 +62,7 @@ def crc16(data: bytes, crc: int = 0) -> int:
     return crc
 
 
+@lru_cache(maxsize=128)  # a control loop asks the same question every cycle
 def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Complete instruction packet, stuffed and with its checksum."""
     body = (bytes((instruction,)) + parameters).replace(_PATTERN, _STUFFED)
