@@ -8,7 +8,8 @@ from collections.abc import Callable
 from controller.domain import Frame
 from controller.errors import CameraLost, FrameStale
 from sim_backends.painter import Image
-from sim_backends.world import STEP, Snapshot, World
+from sim_backends.world import Snapshot, World
+from sim_backends.world_model import STEP
 
 PERIOD = 1.0 / 30.0  # s between exposures
 EXPOSURE = 0.008  # s

@@ -22,7 +22,8 @@ from sim_backends.parts import scatter
 from sim_backends.plant import Plant
 from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
-from sim_backends.world import Collision, Snapshot, World
+from sim_backends.world import Snapshot, World
+from sim_backends.world_contacts import Collision
 
 _MODULE_PX = 20  # pixels of the printed marker per module
 
@@ -168,7 +169,7 @@ def overview_lens(size: tuple[int, int]) -> Lens:
     place = np.eye(4)
     place[:3, :3] = np.column_stack([right, np.cross(ahead, right), ahead])
     place[:3, 3] = eye
-    focal = 1.25 * size[0]
+    focal = 1.35 * size[0]
     matrix = np.array([[focal, 0.0, (size[0] - 1) / 2.0], [0.0, focal, (size[1] - 1) / 2.0], [0.0, 0.0, 1.0]])
     return Lens(matrix, np.zeros(5), size, place)
 

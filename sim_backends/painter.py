@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from sim_backends.imperfections import Imperfections
 from sim_backends.lens import Lens
-from sim_backends.painter_raster import GROWTH, Region, blend, clean, coverage, distinct, fill, offset, region_of
+from sim_backends.painter_raster import GROWTH, blend, clean, coverage, distinct, fill, offset, region_of
 from sim_backends.painter_scene import Scene, View, meet
+from sim_backends.painter_shadow import Shadows
 from sim_backends.painter_surface import NO_MAP, Print, Projector, table_texture
 from sim_backends.solids import Array, Solid, box
 from sim_backends.world import Snapshot
@@ -27,15 +28,12 @@ from sim_backends.world_model import TABLE_HIGH, TABLE_LOW, TABLE_THICKNESS
 
 Image = NDArray[np.uint8]
 
-_LAMP_SAMPLES = 6
-_LAMP_RADIUS = 0.055  # half width of the lamp as seen from the table, rad
 _AMBIENT = 0.55
 _ROOM = (62.0, 58.0, 56.0)
 _TABLE_EDGE = (118.0, 132.0, 142.0)
 _TEXTURE_PER_MM = 2.0
 # Fine pixels per pixel: small things are drawn finest, and the arm, whose size nobody measures, coarsest.
 _SMALL = 160
-_FLAT = 0.5  # what rises less above the table casts no shadow, mm
 _BLEED = 3.0  # how far inner faces are drawn beyond the outline that will cut them off, px
 
 
@@ -95,9 +93,7 @@ class Painter:
         self._decals = {i: decals[s.decal] for i, s in enumerate(solids) if s.decal}
         self._projector = Projector(lens)
         self._lamp = _direction(look.lamp_azimuth, look.lamp_elevation)
-        lamps = self._lamp_samples()
-        self._slopes = lamps[:, :2] / lamps[:, 2:]
-        self._half_size = (lens.size[0] // 2, lens.size[1] // 2)
+        self._shadows = Shadows(self._scene, lens, self._lamp, look.shadow_depth)
         self._colours = np.array([s.colour for s in solids for _ in s.faces])
         self._light = self._light_field()
         self._noise = self._noise_bank()
@@ -114,10 +110,8 @@ class Painter:
         for fixed in np.flatnonzero(self._fixed):
             rows = self._scene.vertices_of(int(fixed))
             vertices[rows] = self._scene.local[rows]
-        self._lamp_masks: list[Image] = []
-        self._shadow = np.zeros(self._half_size[::-1], np.uint8)
         self._ground = self._paint_ground()
-        self._shade(self._ground, vertices, self._fixed)
+        self._shadows.fix(self._ground, vertices, self._fixed)
         view = self._scene.view(vertices, self.lens)
         tones = self._tones(view.normals)
         order = self._scene.order(view, self._fixed)
@@ -148,7 +142,7 @@ class Painter:
         again = self._overlapped(view.boxes[moving & view.inside])
         if again:
             self._uncover(picture, again)
-        self._shade(picture, vertices, moving)
+        self._shadows.darken(picture, vertices, moving)
         tones = self._tones(view.normals)
         for index in self._scene.order(view, moving | np.isin(self._group, again)):
             self._solid(picture, view, index, tones, snapshot)
@@ -184,77 +178,6 @@ class Painter:
         light = _AMBIENT * sky + (1.0 - _AMBIENT) * np.maximum(0.0, normals @ self._lamp)
         # Cameras do not store light but about its square root.
         return np.asarray(np.minimum(self._colours * np.sqrt(light / up)[:, None], 255.0))
-
-    def _lamp_samples(self) -> Array:
-        """Directions to points of the lamp's disc, (L, 3)."""
-        side = np.cross(self._lamp, (0.0, 0.0, 1.0))
-        side /= np.linalg.norm(side)
-        other = np.cross(self._lamp, side)
-        angles = 2.0 * math.pi * np.arange(_LAMP_SAMPLES) / _LAMP_SAMPLES
-        rim = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        return np.asarray(self._lamp + _LAMP_RADIUS * rim)
-
-    def _shade(self, picture: Image, vertices: Array, shown: NDArray[np.bool_]) -> None:
-        """Darken the table where these solids stand in the light and the fixed ones do not already.
-
-        A lamp has some width: the shadows of several points of it, averaged, fade at their rims.
-        """
-        depth = self._look.shadow_depth
-        if depth <= 0.0 or not shown.any():
-            return
-        lamps = len(self._slopes)
-        tall = [int(i) for i in np.flatnonzero(shown) if vertices[self._scene.vertices_of(int(i)), 2].max() > _FLAT]
-        if not tall:
-            return
-        sizes = [len(self._scene.solids[i].vertices) for i in tall]
-        ends = np.cumsum(sizes)
-        mine = vertices[np.concatenate([np.arange(len(vertices))[self._scene.vertices_of(i)] for i in tall])]
-        ground = np.zeros((lamps, len(mine), 3))
-        ground[:, :, :2] = mine[:, :2] - np.maximum(mine[:, 2:], 0.0) * self._slopes[:, None, :]
-        pixels, ahead = self.lens.project(ground.reshape(-1, 3))
-        # At half resolution; far away is as good as out of the picture.
-        points = np.clip((pixels + 0.5) / 2.0 - 0.5, -2000.0, 4000.0).reshape(lamps, -1, 2).astype(np.float32)
-        ahead = ahead.reshape(lamps, -1)
-        rows = [slice(end - size, end) for end, size in zip(ends.tolist(), sizes, strict=True)]
-        casting = [own for own in rows if ahead[:, own].all() and self._falls_into(points[:, own].reshape(-1, 2))]
-        if not casting:
-            return
-        spread = np.vstack([points[:, own].reshape(-1, 2) for own in casting]).astype(np.float64)
-        region = region_of(spread, self._half_size, 6)
-        if region is None:
-            return
-        total, masks = self._cast(casting, points, region)
-        x0, y0, x1, y1 = region
-        fresh = cv2.subtract(total, self._shadow[y0:y1, x0:x1])
-        if not self._lamp_masks:
-            # The first call is for what is fixed.
-            self._lamp_masks = [np.zeros(self._half_size[::-1], np.uint8) for _ in masks]
-            for whole, mask in zip(self._lamp_masks, masks, strict=True):
-                whole[y0:y1, x0:x1] = mask
-            self._shadow[y0:y1, x0:x1] = total
-        soft = cv2.GaussianBlur(fresh, (0, 0), 1.2)
-        full = cv2.resize(soft, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-        gain = cv2.convertScaleAbs(full, alpha=-depth, beta=255.0)
-        part = picture[2 * y0 : 2 * y1, 2 * x0 : 2 * x1]
-        cv2.multiply(part, cv2.merge([gain, gain, gain]), dst=part, scale=1 / 255.0)
-
-    def _cast(self, casting: list[slice], points: NDArray[np.float32], region: Region) -> tuple[Image, list[Image]]:
-        """Sum of the shadows of all lamps in a region at half resolution, and each lamp's own."""
-        x0, y0, x1, y1 = region
-        total = np.zeros((y1 - y0, x1 - x0), np.uint8)
-        masks = []
-        share = 255.0 / len(points)
-        for lamp, own in enumerate(points):
-            mask = self._lamp_masks[lamp][y0:y1, x0:x1].copy() if self._lamp_masks else np.zeros_like(total)
-            for rows in casting:
-                hull = cv2.convexHull(own[rows]) - np.array([x0, y0], np.float32)
-                cv2.fillConvexPoly(mask, np.rint(hull * 16.0).astype(np.int32), share, cv2.LINE_AA, 4)
-            cv2.add(total, mask, dst=total)
-            masks.append(mask)
-        return total, masks
-
-    def _falls_into(self, points: NDArray[np.float32]) -> bool:
-        return bool((points.max(axis=0) > 0.0).all() and (points.min(axis=0) < self._half_size).all())
 
     def _light_field(self) -> NDArray[np.float32] | None:
         """Gain of every pixel, (H, W, 3), for uneven light, vignetting and exposure."""

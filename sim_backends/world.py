@@ -20,13 +20,13 @@ from sim_backends.imperfections import Imperfections
 from sim_backends.parts import COLOURS, Part
 from sim_backends.plant import Drive, Shaft
 from sim_backends.solids import Array, Solid
+from sim_backends.world_contacts import Collision, Contacts
 from sim_backends.world_model import (
     FLOOR,
     MM,
     STEP,
     bin_solids,
     build,
-    mechanics,
     part_name,
     part_solid,
     servo_angle,
@@ -37,27 +37,8 @@ from sim_backends.world_model import (
 _LOOK_EVERY = 5
 # The past of the parts is kept at this spacing, in steps: 0.1 s.
 _REMEMBER_EVERY = 50
-# Touching again within this time is the same collision, s.
-_SAME_COLLISION = 0.25
 # Torque at which the play of a gear lies wholly on one flank, Nm.
 _FLANK_TORQUE = 0.04
-
-_OTHER, _LINK, _JAW, _PART, _FIXED = range(5)
-
-
-@dataclass(frozen=True, slots=True)
-class Collision:
-    """The arm touched something else than the part between its jaws.
-
-    Attributes:
-        at: When it began, s.
-        arm: What of the arm: `link3`, `finger_left`, ...
-        other: What it touched: `table`, the name of a bin, or `part4`.
-    """
-
-    at: float
-    arm: str
-    other: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,15 +113,12 @@ class World:
         self._callbacks: list[Callable[[float], None]] = []
         self._friction_damping = self._model.dof_damping.copy()
         self._servos = self._find_servos(imperfections)
-        self._kinds, self._names, self._part_of = self._classify()
         self._part_qpos = np.array(
             [self._model.joint(part_name(i)).qposadr[0] + np.arange(7) for i in range(len(parts))], dtype=np.intp
         ).reshape(-1, 7)
         self._tool_body = self._model.body(link_name(len(arm.joints) - 1)).id
         self._jaw_qpos = self._model.joint(LEFT).qposadr[0]
-        self.collisions: list[Collision] = []
-        self._last_touch: dict[tuple[str, str], float] = {}
-        self._held: frozenset[int] = frozenset()
+        self._contacts = Contacts(self._model, self._data, arm, len(parts), self.opening)
         self._aside = False
         self._past_times: list[float] = []
         self._past: list[tuple[NDArray[np.float64], frozenset[int]]] = []
@@ -172,7 +150,8 @@ class World:
                 self._steps += run
             steps -= run
             if self._steps % _LOOK_EVERY == 0:
-                self._look()
+                self._shift_play()
+                self._contacts.look(self.now())
                 if self._steps % _REMEMBER_EVERY == 0:
                     self.remember()
 
@@ -247,9 +226,14 @@ class World:
         return 2.0 * float(self._data.qpos[self._jaw_qpos]) / MM
 
     @property
+    def collisions(self) -> list[Collision]:
+        """Every time the arm touched something else than the part between its jaws."""
+        return self._contacts.collisions
+
+    @property
     def held(self) -> frozenset[int]:
         """Parts that both jaws touch."""
-        return self._held
+        return self._contacts.held
 
     @property
     def aside(self) -> bool:
@@ -275,7 +259,7 @@ class World:
             self._past_times.pop()
             self._past.pop()
         self._past_times.append(now)
-        self._past.append((self.part_poses(), self._held))
+        self._past.append((self.part_poses(), self.held))
 
     # --- what people do to it ---------------------------------------------------------------------------
 
@@ -310,7 +294,7 @@ class World:
         mujoco.mj_resetData(self._model, data)
         data.qpos[:], data.qvel[:], data.ctrl[:] = keep
         data.time = self.now()
-        self._held = frozenset()
+        self._contacts.forget()
         mujoco.mj_forward(self._model, data)
         self.remember()
 
@@ -359,67 +343,6 @@ class World:
             data.qpos[self._model.joint(jaw).qposadr[0]] = half
         mujoco.mj_forward(self._model, data)
 
-    def _classify(self) -> tuple[NDArray[np.int8], list[str], NDArray[np.intp]]:
-        """Kind, name and part index of every geom."""
-        model = self._model
-        kinds = np.full(model.ngeom, _OTHER, np.int8)
-        part_of = np.full(model.ngeom, -1, np.intp)
-        names = []
-        for geom in range(model.ngeom):
-            own, body = model.geom(geom).name, model.body(model.geom_bodyid[geom]).name
-            names.append(own.split("/")[0])
-            if own == "cradle":
-                continue
-            if body.startswith("link"):
-                kinds[geom] = _LINK
-            elif body in (LEFT, RIGHT):
-                kinds[geom] = _JAW
-            elif body.startswith("part"):
-                kinds[geom], part_of[geom] = _PART, int(body[4:])
-            elif body == "world" and own != "floor":
-                kinds[geom] = _FIXED
-        return kinds, names, part_of
-
-    def _look(self) -> None:
-        """Note what the arm touches, and let the play of each gear follow its load."""
-        self._shift_play()
-        data = self._data
-        count = data.ncon
-        held: dict[int, set[str]] = {}
-        if count:
-            pairs = data.contact.geom[:count]
-            kinds = self._kinds[pairs]
-            for row in np.flatnonzero(((kinds == _LINK) | (kinds == _JAW)).any(axis=1)):
-                first, second = pairs[row]
-                mine, other = (first, second) if kinds[row, 0] in (_LINK, _JAW) else (second, first)
-                if self._kinds[other] < _PART:
-                    continue  # the arm leans on itself
-                part = int(self._part_of[other])
-                if part >= 0 and self._between_jaws(part):
-                    if self._kinds[mine] == _JAW:
-                        held.setdefault(part, set()).add(self._names[mine])
-                    continue
-                self._collide(self._names[mine], self._names[other])
-        self._held = frozenset(part for part, jaws in held.items() if len(jaws) == 2)
-
-    def _between_jaws(self, part: int) -> bool:
-        """The centre of the part lies in the space between the jaws."""
-        data = self._data
-        rotation = data.xmat[self._tool_body].reshape(3, 3)
-        offset = data.qpos[self._part_qpos[part, :3]] - data.xpos[self._tool_body]
-        x, y, z = rotation.T @ offset / MM - self.arm.tool
-        gripper = self.arm.gripper
-        return bool(
-            abs(y) < self.opening() / 2.0 and abs(z) < 1.5 * gripper.jaw_size[1] and -25.0 < x < gripper.jaw_depth + 5.0
-        )
-
-    def _collide(self, arm: str, other: str) -> None:
-        now = self.now()
-        last = self._last_touch.get((arm, other), -math.inf)
-        self._last_touch[arm, other] = now
-        if now - last > _SAME_COLLISION:
-            self.collisions.append(Collision(now, arm, other))
-
     def _shift_play(self) -> None:
         """The encoder sits on the motor's side of the play; the link leans on the flank its load presses it to.
 
@@ -433,5 +356,3 @@ class World:
             servo.play += 0.4 * (wanted - servo.play)
             self._aim(servo)
 
-
-__all__ = ["STEP", "Collision", "Snapshot", "World", "mechanics"]

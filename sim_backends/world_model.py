@@ -30,6 +30,7 @@ TABLE_THICKNESS = 25.0
 FLOOR = -700.0
 WALL = 3.0  # bins: thickness of walls and floor, mm
 HORN = "horn"
+CRADLE = "cradle"
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 # The stops lie beyond the described limits, as the horn of a real servo may sit askew.
 _STOP_MARGIN = math.radians(3.0)
@@ -266,7 +267,7 @@ def _cradle(arm: ArmDescription) -> str:
     depth = -(below + radius)
     x, z = place + np.array([c * along + s * depth, c * depth - s * along])
     return (
-        f'<geom name="cradle" type="capsule" fromto="{_numbers((x * MM, -0.014, z * MM, x * MM, 0.014, z * MM))}" '
+        f'<geom name="{CRADLE}" type="capsule" fromto="{_numbers((x * MM, -0.014, z * MM, x * MM, 0.014, z * MM))}" '
         f'size="{radius * MM}" contype="{_CRADLE}" conaffinity="0"/>'
     )
 

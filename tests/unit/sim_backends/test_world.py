@@ -10,14 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.config.arm import load_arm
 from controller.domain import Shape
 from sim_backends.imperfections import draw
 from sim_backends.parts import SHAPES
 from sim_backends.plant import Drive
 from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
-from sim_backends.world import STEP, World
-from sim_backends.world_model import MM, coupling, half_opening, horn_range, servo_angle
+from sim_backends.world import World
+from sim_backends.world_model import MM, STEP, coupling, half_opening, horn_range, servo_angle
 from tests.unit.sim_backends.rig import ARM, BINS, GRASP_HEIGHT, GRIP_TORQUE, TABLE, Rig, part, world
 
 
@@ -273,3 +274,16 @@ def test_reach_agrees_with_the_work_area() -> None:
             a = math.radians(azimuth)
             assert can_reach(ARM, radius * math.cos(a), radius * math.sin(a))
     assert not can_reach(ARM, 320.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["open_manipulator_x", "pincherx_100", "reactorx_150", "widowx_200", "widowx_250"])
+def test_every_described_arm_can_be_built_and_rests_on_itself(name: str) -> None:
+    arm = load_arm(name)
+    limp = World(arm, BINS, TABLE, [], draw("static", 1))
+    limp.advance(2.0)
+    assert limp.joint_angles() == pytest.approx(np.array(arm.rest), abs=math.radians(4.0))
+    assert limp.collisions == []
+    shadows = [j for j in arm.joints if j.shadow_id is not None]
+    for joint in shadows:
+        assert joint.shadow_id is not None
+        assert limp.shaft(joint.shadow_id).angle == pytest.approx(-limp.shaft(joint.servo_id).angle)
