@@ -88,6 +88,8 @@ class VisionSection(StrictModel):
     """Name of a shipped recipe, or the path of one of your own."""
     minimum_score: float = Field(0.5, ge=0.0, le=1.0)
     """Objects below this confidence are left alone."""
+    smallest_mm: float = Field(5.0, ge=0.0, le=200.0)
+    """Anything whose long side is shorter is dirt: neither a part nor in the way of one."""
 
 
 class PartSection(StrictModel):

@@ -152,7 +152,8 @@ class Sorter:
         assert self._detected is not None
         config = self.rig.config
         found = locate(self._detected.detections, self.rig.calibration, config.part_height)
-        named, gone = self._book.identify(found.objects)
+        things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
+        named, gone = self._book.identify(things)
         for target in gone:
             self._give_up(target)
         look = Look(self._frame, self._detected.detections, tuple(named), found.refused)

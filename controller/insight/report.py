@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,17 +49,27 @@ def annotated(look: Look) -> NDArray[np.uint8]:
     return annotate(look.frame.image, look.detections, located=look.located)
 
 
+def side_by_side(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Two pictures beside each other, both as high as the lower one."""
+    height = min(left.shape[0], right.shape[0])
+    scaled = [
+        cv2.resize(picture, (round(picture.shape[1] * height / picture.shape[0]), height), interpolation=cv2.INTER_AREA)
+        for picture in (left, right)
+    ]
+    return np.asarray(np.hstack(scaled), np.uint8)
+
+
 def rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures of a run as (name, value), in words a person reads."""
     return [(name, _text(report[key])) for key, name in _NAMES.items() if report.get(key) is not None]
 
 
-def page(report: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
+def page(report: Mapping[str, Any], pictures: Mapping[str, NDArray[np.uint8]]) -> str:
     """A self-contained HTML page.
 
     Args:
         report: The figures of the contract of `controller run --json`.
-        pictures: PNG files by caption.
+        pictures: BGR pictures by caption.
     """
     title = f"Sorting run: {report.get('mode', '')} {report.get('arm', '')}".strip()
     lines = [
@@ -71,10 +81,11 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     for fault in report.get("faults", []):
         what = f"{fault['code']} at {fault['at_s']} s: {fault['cause']}"
         lines.append(f'<p class="bad">{html.escape(what)}</p>')
-    for caption, path in pictures.items():
-        data = base64.b64encode(path.read_bytes()).decode()
+    for caption, picture in pictures.items():
+        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+        data = base64.b64encode(jpeg.tobytes()).decode()
         lines.append(
-            f'<figure><img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">'
+            f'<figure><img alt="{html.escape(caption)}" src="data:image/jpeg;base64,{data}">'
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"
         )
     return "\n".join(lines) + "</html>\n"

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
+from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer
 from controller.domain import LocatedObject, Outcome, PickPlan, Result, TruePart
 from controller.errors import SorterError
@@ -170,14 +172,25 @@ def spread(values: Sequence[float], wanted: Sequence[str]) -> dict[str, float | 
     return {name: round(float(functions[name](values)), 3) if len(values) else None for name in wanted}
 
 
-class LastLooks(Observer):
-    """Keeps the first look and the last one, for the pictures before and after."""
+class Album(Observer):
+    """Keeps the pictures of a run: the first look, the last one, and the cell at its first grasp.
 
-    def __init__(self) -> None:
+    Args:
+        portrait: Takes a picture of the whole cell, (H, W, 3), where there is someone to take it.
+    """
+
+    def __init__(self, portrait: Callable[[], NDArray[np.uint8]] | None = None) -> None:
+        self._portrait = portrait
         self.first: Look | None = None
         self.last: Look | None = None
+        self.at_work: NDArray[np.uint8] | None = None
 
     def looked(self, look: Look) -> None:
         """Remember the look."""
         self.first = self.first or look
         self.last = look
+
+    def entered(self, state: State, at: float) -> None:
+        """Take the portrait when the first part is between the jaws."""
+        if state is State.PLACE and self._portrait is not None and self.at_work is None:
+            self.at_work = self._portrait()

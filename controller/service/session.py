@@ -28,8 +28,8 @@ from controller.cycle.rig import Observer, Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import ArmDescription, CellCalibration, PickPlan
 from controller.errors import CalibrationMissing
-from controller.insight.report import annotated, page
-from controller.insight.statistics import LastLooks, Statistics
+from controller.insight.report import annotated, page, side_by_side
+from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
 from controller.motion.planner import Planner
 from controller.service.folders import new_run_folder, state_folder
@@ -100,7 +100,7 @@ class Session:
             calibration, calibration_s = self._calibrated(devices, arm, folder)
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
             statistics = Statistics(self._config, devices.truth)
-            looks = LastLooks()
+            album = Album(devices.portrait)
             rig = Rig(
                 self._config,
                 devices.camera,
@@ -110,7 +110,7 @@ class Session:
                 calibration,
                 recipe,
                 self._planner(arm, calibration),
-                observers=(*devices.observers, statistics, looks, *self.options.observers),
+                observers=(*devices.observers, statistics, album, *self.options.observers),
                 confirm=self.options.confirm,
             )
             if not self._started():
@@ -137,7 +137,7 @@ class Session:
                 "wall_s": round(monotonic() - began_wall, 3),
                 "out": str(folder),
             }
-            self._write(folder, report, looks)
+            self._write(folder, report, album)
             if self._sorter.fault is not None:
                 raise self._sorter.fault
             return report
@@ -198,11 +198,14 @@ class Session:
         self._stop.wait()
         return False
 
-    def _write(self, folder: Path, report: dict[str, Any], looks: LastLooks) -> None:
+    def _write(self, folder: Path, report: dict[str, Any], album: Album) -> None:
         pictures = {}
-        for name, look in (("before", looks.first), ("after", looks.last)):
+        for name, look in (("before", album.first), ("after", album.last)):
             if look is not None:
-                pictures[name] = folder / f"{name}.png"
-                cv2.imwrite(str(pictures[name]), annotated(look))
+                pictures[name] = annotated(look)
+        if album.at_work is not None and "before" in pictures:
+            pictures["cell"] = side_by_side(album.at_work, pictures["before"])
+        for name, picture in pictures.items():
+            cv2.imwrite(str(folder / f"{name}.png"), picture)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")

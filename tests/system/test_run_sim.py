@@ -1,0 +1,98 @@
+"""Whole runs of the simulated cell, as its user starts them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from controller.ledger.view import LedgerView
+from tests.system.conftest import Controller
+
+
+def figures(stdout: str) -> dict[str, Any]:
+    lines = stdout.splitlines()
+    assert len(lines) == 1, stdout
+    loaded: dict[str, Any] = json.loads(lines[0])
+    return loaded
+
+
+def check_sums(found: dict[str, Any]) -> None:
+    assert found["sorted"] == found["correct"] + found["missorted"] + found["silent"]
+    assert found["parts"] == sum(found[k] for k in ("sorted", "rejected", "left", "dropped", "indeterminate"))
+    assert found["reachable"] <= found["parts"]
+
+
+def test_a_run_sorts_and_keeps_everything(controller: Controller, tmp_path: Path) -> None:
+    done = controller("run", "--sim", "--level", "static", "--parts", 4, "--seed", 7, "--json", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    found = figures(done.stdout)
+    check_sums(found)
+    assert (found["parts"], found["correct"], found["missorted"], found["silent"]) == (4, 4, 0, 0)
+    out = tmp_path / "run"
+    with LedgerView(out / "ledger.db") as ledger:
+        assert ledger.verify() == ()
+        assert ledger.counts()["placed"] == 4
+    for name in ("before.png", "after.png", "cell.png"):
+        assert cv2.imread(str(out / name)) is not None
+    assert json.loads((out / "report.json").read_text()) == found
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/jpeg;base64,") == 3
+    assert "http" not in page
+    assert (out / "calibration" / "camera.json").is_file()
+
+
+def test_the_same_seed_gives_the_same_run(controller: Controller) -> None:
+    runs = []
+    for name in ("a", "b"):
+        done = controller("run", "--sim", "--level", "static", "--parts", 2, "--seed", 3, "--json", "--out", name)
+        assert done.returncode == 0, done.stderr
+        found = figures(done.stdout)
+        runs.append({key: value for key, value in found.items() if key not in ("wall_s", "out")})
+    assert runs[0] == runs[1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+def test_ctrl_c_in_a_pick_parks_the_arm_and_closes_the_record(tmp_path: Path, environment: dict[str, str]) -> None:
+    arguments = ["run", "--sim", "--level", "static", "--parts", "6", "--seed", "7", "--json", "--out", "run"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "controller.cli", *arguments],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        assert process.stdout is not None
+        for line in process.stderr:
+            if "placed:" in line:
+                os.kill(process.pid, signal.SIGINT)
+                break
+        stderr = process.stderr.read()
+        stdout = process.stdout.read()
+        assert process.wait(60) == 130, stderr
+    found = figures(stdout)
+    assert 1 <= found["sorted"] < 6
+    with LedgerView(tmp_path / "run" / "ledger.db") as ledger:
+        assert ledger.verify() == ()
+        runs = list(ledger.rows("runs"))
+        assert runs[0]["end_reason"] == "stopped"
+        assert len(list(ledger.rows("outcomes"))) >= found["sorted"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
+def test_the_stock_serial_path_sorts_in_real_time(controller: Controller) -> None:
+    done = controller("run", "--sim", "--real-time", "--level", "static", "--parts", 3, "--seed", 7, "--json")
+    assert done.returncode == 0, done.stderr
+    found = figures(done.stdout)
+    check_sums(found)
+    assert (found["correct"], found["missorted"], found["silent"]) == (3, 0, 0)
+    assert found["sim_s"] == pytest.approx(found["wall_s"], abs=0.5)  # both clocks are the system's
