@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from controller.domain import Frame
 from controller.errors import FrameStale, PictureUnusable
 from controller.ports import Camera, Clock
+from controller.vision.scenery import Scenery, trouble
 
 # Of 255: a lit table is brighter than this at its brightest hundredth, the noise of a covered lens is not.
 DARK = 32
@@ -38,6 +39,7 @@ class WatchedCamera:
 
     Attributes:
         torn: Pictures passed over because a part was missing.
+        scenery: What must look the same in every picture; None: nothing is known yet.
     """
 
     def __init__(self, camera: Camera, clock: Clock, repeats: int = 3) -> None:
@@ -47,6 +49,7 @@ class WatchedCamera:
         self._last: NDArray[np.uint8] | None = None
         self._equal = 1
         self.torn = 0
+        self.scenery: Scenery | None = None
 
     def open(self) -> None:
         """Open the camera; what was seen before no longer counts."""
@@ -61,7 +64,8 @@ class WatchedCamera:
         """The newest frame whose exposure began at or after `after` and that shows something.
 
         Raises:
-            PictureUnusable: It is black, overexposed or frozen, or no whole one came within `timeout` s.
+            PictureUnusable: It is black, overexposed or frozen, no whole one came within `timeout` s, or its scenery
+                says that the camera was moved, the light has changed or the lens is soft.
             FrameStale, CameraLost: As the camera says.
         """
         deadline = self._clock.now() + timeout
@@ -99,6 +103,8 @@ class WatchedCamera:
                 f"the camera is frozen: {self._equal} pictures in a row are equal to the bit",
                 "unplug it and plug it in again",
             )
+        if self.scenery is not None and (found := trouble(self.scenery.compare(frame.image))) is not None:
+            raise PictureUnusable(frame.source, "look", *found)
 
 
 def is_black(sample: NDArray[np.uint8]) -> bool:

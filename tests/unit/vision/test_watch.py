@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from controller.domain import Frame
 from controller.errors import CameraLost, FrameStale, PictureUnusable
 from controller.ports import Camera
+from controller.vision.scenery import Scenery
 from controller.vision.watch import WatchedCamera, is_black, is_clipped, is_torn
 from sim_backends.faulty_camera import CameraFault, FaultyCamera
 from sim_backends.virtual_clock import VirtualClock
@@ -32,7 +34,7 @@ class NoisyCamera:
             self._clock.sleep(timeout)
             raise FrameStale("noisy", "capture", "late")
         self._clock.sleep(max(now, after) + PERIOD - now)
-        image = (120 + self._random.integers(0, self._noise, (48, 64, 3))).astype(np.uint8)
+        image = (120 + self._random.integers(0, self._noise, (480, 640, 3))).astype(np.uint8)
         self._count += 1
         return Frame(self._count, self._clock.now(), image, "noisy")
 
@@ -128,6 +130,17 @@ def test_an_unknown_fault_is_a_mistake() -> None:
     clock = VirtualClock()
     with pytest.raises(ValueError, match="no camera fault 'blak'"):
         FaultyCamera(NoisyCamera(clock), clock, [CameraFault("blak", 0.0, 1.0)])
+
+
+def test_a_camera_that_was_moved_is_refused_while_its_scenery_is_known() -> None:
+    camera, clock = watched()
+    table = np.zeros((480, 640, 3), np.uint8)
+    table[::40] = table[:, ::40] = 200
+    camera.scenery = Scenery(cv2.GaussianBlur(table, (0, 0), 3.0).astype(np.uint8), np.full((480, 640), 255, np.uint8))
+    with pytest.raises(PictureUnusable):
+        camera.capture(clock.now())
+    camera.scenery = None
+    camera.capture(clock.now())
 
 
 def test_dark_and_bright_scenes_are_not_taken_for_dead() -> None:
