@@ -72,3 +72,16 @@ def test_a_new_ledger_has_the_present_schema_and_mark(path: Path) -> None:
     assert schema.version_of(connection) == schema.SCHEMA
     assert not schema.is_foreign(connection)
     connection.close()
+
+
+def test_a_released_schema_never_changes() -> None:
+    """A change needs a further migration: ledgers of this form are in the world."""
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    for statement in schema.MIGRATIONS[0]:
+        connection.execute(statement)
+    made = connection.execute(
+        "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL AND name NOT LIKE 'sqlite_%' ORDER BY name"
+    )
+    released = (Path(__file__).resolve().parents[2] / "data" / "ledger_schema_1.sql").read_text(encoding="ascii")
+    assert [" ".join(sql.split()) + ";" for (sql,) in made] == released.splitlines()
+    connection.close()
