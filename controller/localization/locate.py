@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controller.domain import CellCalibration, Detection, LocatedObject, Shape
 from controller.geometry import wrap
-from controller.localization.prism import Noise, PrismFit, Silhouette, bounding_size, footprint
+from controller.localization.prism import Noise, PrismFit, Silhouette, Visible, bounding_size, footprint
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 HALF_HEIGHT_SIGMA = 0.05
 #: Fewer outline points than this cannot carry a fit of six unknowns with anything left to judge it by.
 MIN_POINTS = 20
+#: Starts that are tried, as a share of the shape's period away from the detection's own direction: the fit
+#: of a tall part may end in a local optimum.
+_TURNS = (0.0, 1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +93,17 @@ def _locate_one(
         return "cut by the border of the picture"
     if detection.frame.size != calibration.camera.image_size:
         return f"a picture of {detection.frame.size} px, calibrated at {calibration.camera.image_size}"
-    silhouette = detection.shape is Shape.OTHER or len(detection.outline_px) >= MIN_POINTS
-    rough = _on_plane(detection, calibration, height, height / 2 if silhouette else height)
+    rough = _on_half_height(detection, calibration, height)
     if rough is None:
         return "its rays do not meet the table"
-    if not refine or detection.shape is Shape.OTHER or not silhouette:
+    if not refine or detection.shape is Shape.OTHER:
         return rough
+    if len(detection.outline_px) < MIN_POINTS:
+        return f"only {len(detection.outline_px)} outline points"
     fit = _fit(detection, calibration, rough, noise, limits)
-    if _objection(fit, limits):
-        # A regular outline that no upright prism casts as its silhouette is the rim of the top face.
-        return _on_plane(detection, calibration, height, height) or "its rays do not meet the table"
+    reason = _objection(fit, limits)
+    if reason:
+        return reason
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
     return LocatedObject(
         detection=detection,
@@ -113,15 +117,9 @@ def _locate_one(
     )
 
 
-def _on_plane(
-    detection: Detection, calibration: CellCalibration, height: float, level: float
-) -> LocatedObject | None:
-    """The outline on the plane z = `level`, mm.
-
-    A silhouette belongs on half the part's height, where parallax of top and foot cancel to first order; the
-    rim of the top face belongs on the part's height.
-    """
-    plane = calibration.plane(level)
+def _on_half_height(detection: Detection, calibration: CellCalibration, height: float) -> LocatedObject | None:
+    """The silhouette on the plane z = h/2, where parallax of top and foot cancel to first order."""
+    plane = calibration.plane(height / 2)
     outline = plane.to_plane(detection.outline_px)
     if not np.isfinite(outline).all():
         return None
@@ -145,7 +143,7 @@ def _on_plane(
     return LocatedObject(
         detection=detection,
         center=center,
-        yaw=_yaw(detection, calibration, level),
+        yaw=_yaw(detection, calibration, height / 2),
         size=size,
         height=height,
         footprint=outline,
@@ -170,10 +168,12 @@ def _yaw(detection: Detection, calibration: CellCalibration, level: float) -> fl
 def _fit(
     detection: Detection, calibration: CellCalibration, rough: LocatedObject, noise: Noise, limits: Limits
 ) -> PrismFit:
-    """The best prism from the detection's own direction, or from others when that one is not explained."""
+    """The best prism: from the detection's own direction, then from others, then by its top face alone.
+
+    Where foot and table look alike, vision follows the rim of the top face instead of the whole silhouette.
+    """
     shape, height = detection.shape, rough.height
     silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
-    period = shape.period
     first = rough.yaw or 0.0
     if shape is Shape.RECTANGLE:
         dimensions: tuple[float, ...] = rough.size
@@ -183,12 +183,15 @@ def _fit(
         dimensions = (rough.size[0],)
     else:
         dimensions = ((rough.size[0] + rough.size[1]) / 2,)
-    best = silhouette.fit(shape, (*rough.center, first), dimensions, height, noise)
-    if period is None or _objection(best, limits) is None:
-        return best
-    for turn in (1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2):
-        other = silhouette.fit(shape, (*rough.center, first + turn * period), dimensions, height, noise)
-        best = min(best, other, key=lambda fit: fit.cost)
+    best: PrismFit | None = None
+    for visible in (Visible.WHOLE, Visible.TOP):
+        for turn in (0.0,) if shape.period is None else _TURNS:
+            start = (*rough.center, first + turn * (shape.period or 0.0))
+            fit = silhouette.fit(shape, start, dimensions, height, noise, visible)
+            if _objection(fit, limits) is None:
+                return fit
+            best = fit if best is None else min(best, fit, key=lambda one: one.cost)
+    assert best is not None
     return best
 
 

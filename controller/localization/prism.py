@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 
 import cv2
 import numpy as np
@@ -27,6 +28,13 @@ _ARCS = 6
 #: Outline points this close to a silhouette corner, px, are left out: blur rounds corners.
 _CORNER = 3.0
 _ROUNDS = 25
+
+
+class Visible(Enum):
+    """What of a prism an outline goes around."""
+
+    WHOLE = "top face and sides"
+    TOP = "top face"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +146,10 @@ class Silhouette:
         dimensions: tuple[float, ...],
         height: float,
         noise: Noise,
+        visible: Visible = Visible.WHOLE,
     ) -> PrismFit:
         """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior."""
-        model = _Model(shape, self._R, self._t, self._local, self._origin)
+        model = _Model(shape, self._R, self._t, self._local, self._origin, visible)
         parameters = np.array([*start, *dimensions, height])
         free = np.ones(len(parameters), bool)
         free[2] = shape is not Shape.CIRCLE
@@ -189,30 +198,32 @@ class Silhouette:
 class _Model:
     """Silhouette of a prism in the undone image, with its derivatives."""
 
-    def __init__(self, shape: Shape, R: Array, t: Array, local: Array, origin: Array) -> None:
+    def __init__(
+        self, shape: Shape, R: Array, t: Array, local: Array, origin: Array, visible: Visible = Visible.WHOLE
+    ) -> None:
         self._unit = unit_footprint(shape)
         self._smooth = shape is Shape.CIRCLE
+        self._levels = (0.0, 1.0) if visible is Visible.WHOLE else (1.0,)
         self._R, self._t, self._local, self._origin = R, t, local, origin
 
     def vertices(self, parameters: Array) -> tuple[Array, Array]:
-        """Vertices (2K, 2), foot then top, and their derivatives (2K, 2, P)."""
+        """Vertices (M, 2), foot then top as far as visible, and their derivatives (M, 2, P)."""
         x, y, yaw = parameters[:3]
         dimensions, height = parameters[3:-1], parameters[-1]
         c, s = math.cos(yaw), math.sin(yaw)
         turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
         local = self._unit @ dimensions
-        count, size = len(local), len(parameters)
-        points = np.zeros((2 * count, 3))
-        slopes = np.zeros((2 * count, 3, size))
-        points[:, :2] = np.tile(local @ turn.T + [x, y], (2, 1))
-        points[count:, 2] = height
+        copies = len(self._levels)
+        level = np.repeat(self._levels, len(local))
+        points = np.column_stack([np.tile(local @ turn.T + [x, y], (copies, 1)), level * height])
+        slopes = np.zeros((len(points), 3, len(parameters)))
         slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0
-        slopes[:, :2, 2] = np.tile(local @ turned.T, (2, 1))
-        slopes[:, :2, 3:-1] = np.tile(np.einsum("ij,kjd->kid", turn, self._unit), (2, 1, 1))
-        slopes[count:, 2, -1] = 1.0
+        slopes[:, :2, 2] = np.tile(local @ turned.T, (copies, 1))
+        slopes[:, :2, 3:-1] = np.tile(np.einsum("ij,kjd->kid", turn, self._unit), (copies, 1, 1))
+        slopes[:, 2, -1] = level
         inside = points @ self._R.T + self._t
         flat = inside[:, :2] / inside[:, 2:]
-        through = np.zeros((2 * count, 2, 3))
+        through = np.zeros((len(points), 2, 3))
         through[:, 0, 0] = through[:, 1, 1] = 1.0
         through[:, :, 2] = -flat
         through /= inside[:, 2, None, None]

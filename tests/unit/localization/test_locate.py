@@ -58,7 +58,7 @@ def test_an_exact_silhouette_gives_the_prism_back(shape):
         limit = 0.01 if shape is Shape.CIRCLE else 1e-3
         assert math.dist(thing.center, (x, y)) < limit
         assert thing.height == pytest.approx(height, abs=0.05)
-        assert min(thing.size) == pytest.approx(size * (math.sqrt(3) / 2 / 1 if False else 1.0), abs=0.02)
+        assert min(thing.size) == pytest.approx(size * 1.0, abs=0.02)
         if shape in LONG:
             assert max(thing.size) == pytest.approx(size * LONG[shape], abs=0.02)
         if shape is Shape.CIRCLE:
