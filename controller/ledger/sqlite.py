@@ -14,10 +14,10 @@ from pathlib import Path
 from controller.domain import Outcome, PickPlan, Result
 from controller.errors import LedgerError
 from controller.ledger.failures import DAMAGED, as_ledger_error, code_of
+from controller.ledger.opening import open_sound, set_aside
 from controller.ledger.records import OBJECT_COLUMNS, PLAN_COLUMNS, object_row, plan_row
 from controller.ledger.retention import prune
-from controller.ledger.schema import SCHEMA, migrate, version_of
-from controller.ledger.view import LedgerReader, refuse_unknown
+from controller.ledger.view import LedgerReader
 from controller.ports import Clock
 
 _TARGET = ", ".join([*OBJECT_COLUMNS, *PLAN_COLUMNS])
@@ -82,12 +82,12 @@ class SqliteLedger(LedgerReader):
             ) from error
         with as_ledger_error(path, "open"):
             try:
-                connection = _open(path)
+                connection = open_sound(path)
             except sqlite3.DatabaseError as error:
                 if code_of(error) not in DAMAGED:
                     raise
-                self.set_aside = self._move_away(path)
-                connection = _open(path)
+                self.set_aside = set_aside(path, wall())
+                connection = open_sound(path)
             super().__init__(path, connection)
             try:
                 with self._transaction("reconcile"):
@@ -299,62 +299,6 @@ class SqliteLedger(LedgerReader):
         if self.unclean_runs or self.indeterminate:
             details = {"runs": self.unclean_runs, "targets": [open_.target_id for open_ in self.indeterminate]}
             self._insert_event("reconciled", self._clock.now(), details)
-
-    def _move_away(self, path: Path) -> Path:
-        """Rename a damaged ledger and its log so that they can be looked into, and a new one begun."""
-        stamp = self._wall().strftime("%Y%m%dT%H%M%S%f")
-        aside = path.with_name(f"{path.name}.damaged-{stamp}")
-        try:
-            for suffix in ("", "-wal", "-shm"):
-                part = path.with_name(path.name + suffix)
-                if part.exists():
-                    part.rename(aside.with_name(aside.name + suffix))
-        except OSError as error:
-            raise LedgerError(
-                f"{path}: damaged, and cannot be set aside: {error.strerror or error}",
-                "make the folder writable, or move the file away",
-            ) from error
-        return aside
-
-
-def _open(path: Path) -> sqlite3.Connection:
-    """A connection to a sound ledger at the present schema; closed again when that fails."""
-    connection = sqlite3.connect(path, timeout=2.0, isolation_level=None, check_same_thread=False)
-    try:
-        refuse_unknown(connection, path)
-        if version_of(connection) == 0:
-            # Only a database without tables takes this on: pages given free can be handed back to the disk.
-            connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
-        connection.execute("PRAGMA journal_mode = WAL")
-        # FULL: a commit has reached the disk before it returns, not only the operating system.
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA foreign_keys = ON")
-        connection.execute("PRAGMA journal_size_limit = 4194304")
-        found = [str(line) for (line,) in connection.execute("PRAGMA quick_check")]
-        if found != ["ok"]:
-            damage = sqlite3.DatabaseError("; ".join(found[:3]))
-            damage.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
-            raise damage
-        version = version_of(connection)
-        if version < SCHEMA:
-            if version > 0:
-                _back_up(connection, path.with_name(f"{path.name}.schema{version}"))
-            connection.execute("BEGIN IMMEDIATE")
-            migrate(connection)
-            connection.execute("COMMIT")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _back_up(connection: sqlite3.Connection, path: Path) -> None:
-    """Copy the database as it is."""
-    copy = sqlite3.connect(path)
-    try:
-        connection.backup(copy)
-    finally:
-        copy.close()
 
 
 def _json(details: Mapping[str, object]) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from controller.errors import LedgerError
-from controller.ledger import LedgerView, SqliteLedger, schema, sqlite, view
+from controller.ledger import LedgerView, SqliteLedger, opening, schema, view
 from sim_backends.virtual_clock import VirtualClock
 from tests.unit.ledger.nouns import outcome
 
@@ -19,7 +19,7 @@ def with_migrations(monkeypatch: pytest.MonkeyPatch, *steps: tuple[str, ...]) ->
     """Let the program know further schemas."""
     migrations = (*schema.MIGRATIONS, *steps)
     monkeypatch.setattr(schema, "MIGRATIONS", migrations)
-    for module in (schema, sqlite, view):
+    for module in (schema, opening, view):
         monkeypatch.setattr(module, "SCHEMA", len(migrations))
 
 
