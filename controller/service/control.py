@@ -92,7 +92,8 @@ class ControlServer:
     Args:
         folder: Where the socket is made; the caller holds the cell's lock, so that what lies there is a leftover.
         controls: The cell.
-        group: Group whose members may talk to it besides the service's own user and root; None for none.
+        group: Group whose members may talk to it besides the service's own user and root, see `operators`;
+            None for none.
         progress: Called at least twice a second while the server is alive, for the supervisor.
         now: Monotonic seconds.
 
@@ -322,6 +323,14 @@ class ControlServer:
         with contextlib.suppress(KeyError):
             self._selector.unregister(client.line)
         client.line.close()
+
+
+def operators() -> int | None:
+    """Group whose members operate the cell: the service's own under a service manager, else none.
+
+    Outside one the process's group may be one that everybody is in.
+    """
+    return os.getegid() if "RUNTIME_DIRECTORY" in os.environ else None
 
 
 def _listen(path: Path, group: int | None) -> socket.socket:

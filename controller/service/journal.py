@@ -54,6 +54,10 @@ class JournalHandler(logging.Handler):
         """Send one record."""
         try:
             data = b"".join(_field(name, value) for name, value in self._fields(record).items())
+        except Exception:  # as everywhere in logging: a message with a wrong argument must not stop the caller
+            self.handleError(record)
+            return
+        try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as line:
                 line.settimeout(_SEND_TIMEOUT)
                 line.sendto(data, self._address)

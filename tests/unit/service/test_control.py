@@ -7,6 +7,7 @@ import json
 import os
 import socket
 import stat
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -327,6 +328,13 @@ def test_the_kernel_says_who_is_there(server: ControlServer) -> None:
     assert set(peer.groups) == set(os.getgroups())
 
 
+def test_the_process_s_group_operates_only_where_a_service_manager_chose_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    assert control.operators() is None
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/sorter")
+    assert control.operators() == os.getegid()
+
+
 @pytest.mark.parametrize(("group", "mode"), [(None, 0o600), (os.getegid(), 0o660)])
 def test_the_socket_itself_is_open_to_no_others(tmp_path: Path, group: int | None, mode: int) -> None:
     with ControlServer(tmp_path, PretendedCell(), group=group) as server:
@@ -376,6 +384,25 @@ def test_a_server_that_takes_nobody_in_is_given_up_in_time(tmp_path: Path) -> No
         first.connect(str(tmp_path / SOCKET))
         with pytest.raises(SorterError, match="no reply within"):
             ControlClient(tmp_path, timeout=0.05).ask("status")
+
+
+@pytest.mark.parametrize("reply", [b"hello\n", b"[]\n", b'{"ok": false}\n', b'{"ok": true}\n', b"\xff\n"])
+def test_what_is_no_reply_of_a_cell_is_called_so(tmp_path: Path, reply: bytes) -> None:
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(tmp_path / SOCKET))
+        other.listen(1)
+
+        def answer() -> None:
+            line, _ = other.accept()
+            with line:
+                line.recv(4096)
+                line.sendall(reply)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(SorterError, match="not a reply of a cell"):
+            ControlClient(tmp_path).ask("status")
+        thread.join()
 
 
 def test_waiting_for_rest_ends_with_the_rest_the_program_or_the_patience(

@@ -26,6 +26,7 @@ from controller.service.doctor.examine import examine, worst
 from controller.service.doctor.finding import Finding, Level
 from controller.service.lock import InstanceLock
 from sim_backends.virtual_clock import VirtualClock
+from tests.unit.drivers.bench import ArmBench
 
 NOW = datetime(2026, 11, 22, tzinfo=UTC)
 
@@ -392,6 +393,29 @@ def test_servos_that_do_not_answer_do_not_hide_the_camera(case: Case) -> None:
     assert _level(found["camera"]) is Level.OK
     assert _level(found["servos"]) is Level.FAILED
     assert "servo 3 (elbow)" in found["servos"].finding
+
+
+@pytest.mark.parametrize("holding", [False, True])
+def test_the_real_driver_is_asked_without_a_move_and_torque_stays_as_it_is(case: Case, holding: bool) -> None:
+    bench = ArmBench("reactorx_150")
+    with bench.ready() as arm:
+        if not holding:
+            arm.relax()
+    ids = [joint.servo_id for joint in bench.description.joints]
+    before = bench.positions()
+    bench.stream.goals.clear()
+
+    def make(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
+        return Devices(_Camera(120, ()), bench.arm, bench.clock)
+
+    found = {f.name: f for f in devices.opened(dataclasses.replace(_plug_in(case), devices=make))}
+    # Five joints, of which two have a second servo, and the gripper.
+    assert found["servos"].finding == f"{bench.description.title}: {len(bench.bus.servo_ids)} servos answer"
+    assert _level(found["servo supply"]) is Level.OK
+    assert bench.stream.goals == []
+    assert [bench.register(number, "Torque_Enable") for number in ids] == [int(holding)] * len(ids)
+    # A holding arm sags no further than its encoders can tell: 0.09 degrees.
+    assert np.abs(bench.positions() - before).max() < 0.0016
 
 
 def test_devices_are_released(case: Case) -> None:

@@ -112,6 +112,17 @@ def test_without_a_journal_nothing_is_lost(tmp_path: Path, logger: logging.Logge
     assert stream.getvalue().endswith("WARNING controller.test_journal: still here [state=HELD]\n")
 
 
+def test_a_message_with_a_wrong_argument_does_not_stop_its_sender(
+    journal: tuple[Path, Callable[[], dict[str, str]]], logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, read = journal
+    monkeypatch.setattr(logging, "raiseExceptions", False)
+    logger.addHandler(JournalHandler(path, _fallback()[0]))
+    logger.info("%d parts", "no number")
+    logger.info("next")
+    assert read()["MESSAGE"] == "next"
+
+
 def test_a_flood_is_held_back_and_counted(logger: logging.Logger) -> None:
     now = 0.0
     handler, stream = _fallback()
