@@ -34,7 +34,7 @@ READ_RETRIES = 2
 
 _BITS_PER_BYTE = 10  # start, eight, stop
 _RETURN_DELAY = 254 * 2e-6  # largest Return_Delay_Time, s: a servo fresh from its box waits 250 units
-_LATENCY = 0.0075  # adapter and scheduler; a silent servo costs this and its wire time
+_LATENCY = 0.007  # adapter and scheduler; a silent servo costs this and its wire time
 _PADS = 8  # lengths by which the answers to one sync read are told from those to the one before
 _FAST_FAILURES = 3
 

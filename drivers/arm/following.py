@@ -21,7 +21,7 @@ START_TOLERANCE = 0.05
 """Largest distance of a joint from a trajectory's start, rad: sag and joint offsets stay below, other poses not."""
 
 OFFSET_LIMIT = 0.15
-"""Largest distance of a trajectory's first goal from the joint, rad: an offset, not another pose."""
+"""Largest distance of a joint at rest from its goal, rad: sag and the offset against it reach 0.09."""
 
 FOLLOWING_LIMIT = 0.30
 """Largest distance of a joint from its path, rad: an XM430 asks for its whole stall torque at 0.22."""
@@ -109,13 +109,22 @@ class Follower:
                 ended_at = clock.now() if ended_at is None else ended_at
                 settled = settled + 1 if news and self._speeds.max() <= _SETTLED_SPEED else 0
                 if settled >= _SETTLED_CYCLES or clock.now() - ended_at > _SETTLE_TIME:
-                    return MoveReport(progress.at_end, body.state(), self._worst)
+                    return self._report()
             tick = body.next_tick(tick, self._trajectory.period)
             elapsed = clock.now() - last
             last += elapsed
             if elapsed > WATCHDOG / 2.0:
                 self._guard(self._after_silence)
             progress.advance(elapsed, stopping)
+
+    def _report(self) -> MoveReport:
+        state = self._body.state()
+        off = np.abs(state.positions - self._progress.positions)
+        if self._progress.at_end and off.max() > OFFSET_LIMIT:
+            joint = self._body.joints[int(off.argmax())]
+            cause = f"ends {np.degrees(off.max()):.0f} deg off its goal"
+            raise MotionTimeout(joint.title, self._trajectory.name, cause, "clear the way, then reset")
+        return MoveReport(self._progress.at_end, state, self._worst)
 
     def _look(self) -> bool:
         """Take the servos' feedback in and judge it; True when every joint has answered."""

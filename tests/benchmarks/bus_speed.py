@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
@@ -146,9 +147,9 @@ def main() -> None:
         for fast in (False, True):
             wire = ((FAST_READ if fast else READ) + WRITE) * 10 / baud
             drivers = {
-                "own": lambda path, baud=baud, fast=fast: own(path, baud, fast),
-                "SDK, our port": lambda path, baud=baud, fast=fast: sdk(path, baud, fast, True),
-                "SDK": lambda path, baud=baud, fast=fast: sdk(path, baud, fast, False),
+                "own": partial(own, baud=baud, fast=fast),
+                "SDK, our port": partial(sdk, baud=baud, fast=fast, own_port=True),
+                "SDK": partial(sdk, baud=baud, fast=fast, own_port=False),
             }
             for name, driver in drivers.items():
                 with served(baud) as path, driver(path) as cycle:

@@ -222,6 +222,15 @@ def test_a_blocked_joint_ends_the_move_and_is_let_go() -> None:
         assert arm.follow(quintic(here, here - np.array([0.1, 0.0, 0.0, 0.0, 0.0]), 0.5)).finished
 
 
+def test_a_joint_that_does_not_arrive_is_no_success() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        move = _move(bench)
+        bench.plant.block(WAIST, high=bench.plant.shaft(WAIST).angle + 0.6)  # 0.2 rad before the end
+        with pytest.raises(MotionTimeout, match="waist"):
+            arm.follow(move)
+
+
 def test_moves_survive_a_bad_line() -> None:
     """1 % each of lost, corrupted, truncated, late and noisy packets: the arm arrives, goals stay smooth."""
     bench = ArmBench()
