@@ -15,6 +15,8 @@ from sim_backends.world_model import CRADLE, MM, part_name
 
 # Touching again within this time is the same collision, s.
 _SAME_COLLISION = 0.25
+# A part that both jaws held this short a time ago may brush them while it falls, s.
+_LETTING_GO = 0.5
 
 _OTHER, _LINK, _JAW, _PART, _FIXED = range(5)
 
@@ -57,6 +59,7 @@ class Contacts:
         self._tool_body = model.body(link_name(len(arm.joints) - 1)).id
         self._part_bodies = [model.body(part_name(index)).id for index in range(parts)]
         self._last_touch: dict[tuple[str, str], float] = {}
+        self._last_held: dict[int, float] = {}
         self.collisions: list[Collision] = []
         self.held: frozenset[int] = frozenset()
         self._kinds = np.full(model.ngeom, _OTHER, np.int8)
@@ -82,8 +85,10 @@ class Contacts:
                     if self._kinds[mine] == _JAW:
                         held.setdefault(part, set()).add(self._names[mine])
                     continue
-                self._collide(self._names[mine], self._names[other], now)
+                if now - self._last_held.get(part, -math.inf) > _LETTING_GO:
+                    self._collide(self._names[mine], self._names[other], now)
         self.held = frozenset(part for part, jaws in held.items() if len(jaws) == 2)
+        self._last_held.update(dict.fromkeys(self.held, now))
 
     def forget(self) -> None:
         """Nothing is held any more: the parts were taken away by other hands."""
