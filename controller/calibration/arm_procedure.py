@@ -14,6 +14,7 @@ from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
+from controller.errors import PlanError
 from controller.ports import Arm, Camera, Clock
 
 #: Time a pose is given to come to rest, s.
@@ -45,8 +46,8 @@ def calibrate_arm(
         arm: Energised, free to move above the work area.
         camera: Open.
         clock: The cell's.
-        move_to: Brings the joints to angles (J,) in a straight joint line, without any joint offsets, and
-            returns when they are there.
+        move_to: Brings the joints to angles (J,), without any joint offsets, about along the straight joint
+            line, and returns when they are there; a PlanError leaves the pose out.
         lens: Of the camera.
         table: Of the camera.
         T_base_table: ndarray of shape (4, 4), where the table lies by ruler.
@@ -67,7 +68,11 @@ def calibrate_arm(
     seen: list[Observation] = []
     for index, pose in enumerate(wanted, 1):
         progress(f"pose {index} of {len(wanted)}")
-        move_to(pose)
+        try:
+            move_to(pose)
+        except PlanError as error:
+            progress(f"pose {index} left out: {error.cause}")
+            continue
         clock.sleep(SETTLE)
         found = view.marker.find(camera.capture(clock.now()).image, lens.camera)
         if found is not None:
