@@ -16,7 +16,7 @@ from sim_backends.clock import SimClock
 from sim_backends.hands import Hands, displacement
 from sim_backends.imperfections import Imperfections, draw
 from sim_backends.lens import Lens
-from sim_backends.painter import Image, Look, Painter
+from sim_backends.painter import Image, Painter
 from sim_backends.painter_surface import Print
 from sim_backends.parts import scatter
 from sim_backends.plant import Plant
@@ -64,7 +64,7 @@ class SimulatedCell:
         self.lens = _true_lens(spec, imperfections)
         self.clock = SimClock(self.world)
         self.presenter = Hands(self.lens, self.T_base_table, imperfections, spec.seed)
-        self._painter = self._make_painter(self.lens, Look.of(imperfections, spec.seed))
+        self._painter = self._make_painter(self.lens, imperfections)
         self._overview: tuple[object, Painter] | None = None
         self.camera = SimulatedCamera(self.world, self._paint, imperfections.latency)
 
@@ -114,7 +114,7 @@ class SimulatedCell:
         fine = lens or overview_lens((2 * size[0], 2 * size[1]))
         light = draw("ideal", 0, {"shadow_depth": 0.3, "vignette": 0.25, "lamp_azimuth": -1.3, "blur": 0.0})
         if self._overview is None or self._overview[0] != (size, lens):
-            self._overview = (size, lens), self._make_painter(fine, Look.of(light, self.spec.seed))
+            self._overview = (size, lens), self._make_painter(fine, light)
         picture = self._overview[1].paint(self.world.snapshot(), self.presenter.sheet, self.presenter.board)
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
@@ -126,7 +126,7 @@ class SimulatedCell:
     def _paint(self, snapshot: Snapshot) -> Image:
         return self._painter.paint(snapshot, self.presenter.sheet, self.presenter.board)
 
-    def _make_painter(self, lens: Lens, look: Look) -> Painter:
+    def _make_painter(self, lens: Lens, look: Imperfections) -> Painter:
         world, arm = self.world, self.spec.arm
         bodies = [0 if s.body == "world" else world.body(s.body) for s in world.solids]
         parts = [s.body.startswith("part") for s in world.solids]
@@ -136,7 +136,7 @@ class SimulatedCell:
         picture, pixel_mm = marker_picture(self.spec.marker)
         marker = Print(picture, pixel_mm, at_gripper @ self.T_tool_marker, y_up=True)
         assert link_name(len(arm.joints) - 1) in {s.body for s in world.solids if s.decal}
-        return Painter(world.solids, bodies, parts, groups, lens, look, {"marker": marker})
+        return Painter(world.solids, bodies, parts, groups, lens, look, self.spec.seed, {"marker": marker})
 
 
 def marker_picture(marker: MarkerMount) -> tuple[Image, float]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -32,34 +31,9 @@ _AMBIENT = 0.55
 _ROOM = (62.0, 58.0, 56.0)
 _TABLE_EDGE = (118.0, 132.0, 142.0)
 _TEXTURE_PER_MM = 2.0
-# Fine pixels per pixel: small things are drawn finest, and the arm, whose size nobody measures, coarsest.
+# Solids up to this size in the picture are drawn four times as fine, larger ones twice: nobody measures those, px.
 _SMALL = 160
 _BLEED = 3.0  # how far inner faces are drawn beyond the outline that will cut them off, px
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What distinguishes one camera's pictures from another's; see `Imperfections` for the meaning."""
-
-    light_gradient: float
-    light_direction: float
-    lamp_azimuth: float
-    lamp_elevation: float
-    shadow_depth: float
-    vignette: float
-    exposure: float
-    blur: float
-    noise: float
-    seed: int
-
-    @classmethod
-    def of(cls, imperfections: Imperfections, seed: int) -> Look:
-        """The look that the imperfections ask for."""
-        i = imperfections
-        return cls(
-            i.light_gradient, i.light_direction, i.lamp_azimuth, i.lamp_elevation, i.shadow_depth,
-            i.vignette, i.exposure, i.blur, i.noise, seed,
-        )  # fmt: skip
 
 
 class Painter:
@@ -71,7 +45,8 @@ class Painter:
         parts: Which of the solids are parts (not painted while they are set aside).
         groups: For solids that never move the name of what they are part of, e.g. a bin; "" for the others.
         lens: The camera.
-        look: Light, lens and sensor.
+        look: Light, defocus and sensor.
+        seed: Of the table's grain and the noise.
         decals: Pictures shown on solids that name them: the print in the coordinates of the solid's body.
     """
 
@@ -82,11 +57,13 @@ class Painter:
         parts: Sequence[bool],
         groups: Sequence[str],
         lens: Lens,
-        look: Look,
+        look: Imperfections,
+        seed: int,
         decals: Mapping[str, Print],
     ) -> None:
         self.lens = lens
         self._look = look
+        self._seed = seed
         self._scene = Scene(solids, bodies)
         self._bodies = tuple(bodies)
         self._parts = np.asarray(parts, bool)
@@ -97,7 +74,7 @@ class Painter:
         self._colours = np.array([s.colour for s in solids for _ in s.faces])
         self._light = self._light_field()
         self._noise = self._noise_bank()
-        self._noise_random = np.random.default_rng([look.seed, 6])
+        self._noise_random = np.random.default_rng([seed, 6])
         self._fixed = np.array([bool(g) for g in groups])
         names = sorted(set(groups) - {""})
         self._group = np.array([names.index(g) if g else -1 for g in groups])
@@ -203,7 +180,7 @@ class Painter:
         picture[:] = np.array(_ROOM, np.uint8)
         self._paint_table_edge(picture)
         region = (0, 0, width, height)
-        texture = table_texture(self._look.seed, TABLE_LOW, TABLE_HIGH, _TEXTURE_PER_MM)
+        texture = table_texture(self._seed, TABLE_LOW, TABLE_HIGH, _TEXTURE_PER_MM)
         at = self._projector.plane(np.eye(4), region)
         low, high = np.array(TABLE_LOW, np.float32), np.array(TABLE_HIGH, np.float32)
         pixels = (at - low) * np.float32(_TEXTURE_PER_MM) - np.float32(0.5)
@@ -295,7 +272,7 @@ class Painter:
         """Noise for more than one picture; each takes its window at random."""
         if self._look.noise <= 0.0:
             return None
-        random = np.random.default_rng([self._look.seed, 5])
+        random = np.random.default_rng([self._seed, 5])
         width, height = self.lens.size
         noise = random.standard_normal((height + 256, width + 256, 3), np.float32) * self._look.noise
         return np.asarray(np.clip(np.rint(noise), -127, 127), np.int8)
