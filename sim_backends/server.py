@@ -150,7 +150,7 @@ class CellServer:
                 line.call(cell.presenter.remove)
             case "truth":
                 at = asked.get("at")
-                parts = line.call(cell.truth if at is None else lambda: cell.truth_at(float(at) - line.offset))
+                parts = line.call(cell.truth if at is None else lambda: cell.truth_at(line.plant_time(float(at))))
                 return {"parts": [part_to_json(part) for part in parts]}, b""
             case "collisions":
                 return {"count": line.call(cell.collisions)}, b""
@@ -199,14 +199,15 @@ class CellServer:
             timeout: s.
         """
         beat = self._cell.beat
-        now, offset = time.monotonic(), self._line.offset
-        begin = math.ceil((max(after, now) - offset) / beat.period - 1e-9) * beat.period + offset
+        now, line = time.monotonic(), self._line
+        beats = math.ceil(line.plant_time(max(after, now)) / beat.period - 1e-9)
+        begin = line.wall_time(beats * beat.period)
         delivery = begin + beat.exposure + beat.latency
         if delivery > now + timeout:
             self._wait(now + timeout)
             raise FrameStale("camera", "capture", f"no frame within {timeout:g} s")
         self._wait(begin + beat.exposure / 2.0)
-        shot = self._line.call(self._cell.expose)
+        shot = line.call(self._cell.expose)
         with self._easel:
             image = np.ascontiguousarray(self._cell.paint(shot))
             self._frames += 1

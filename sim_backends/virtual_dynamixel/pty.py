@@ -14,6 +14,7 @@ import termios
 import threading
 import time
 import tty
+from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -30,7 +31,7 @@ TICK = 0.004
 """s; physics follows the wall clock at least so often, and exactly whenever bytes arrive."""
 LONGEST_STEP = 0.02
 """s of physics between two looks at the line, so that a machine that fell behind still answers."""
-GIVE_UP = 0.25
+GIVE_UP = 2.0
 """s the physics may lag behind the wall clock before simulated time slips instead of catching up."""
 
 _BAUD = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES if hasattr(termios, f"B{rate}")}
@@ -61,7 +62,9 @@ class PtyBus:
         self._wake_in, self._wake_out = -1, -1
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
+        # Monotonic wall clock minus the plant's time, now and since when.
         self._offset = 0.0
+        self._slips: list[tuple[float, float]] = []
         # Simulated time as the line knows it; a plant may tell it in whole steps only.
         self._time = 0.0
         self.last_heard = -math.inf
@@ -79,10 +82,14 @@ class PtyBus:
         """The bus is served."""
         return self._thread is not None and self._thread.is_alive()
 
-    @property
-    def offset(self) -> float:
-        """Monotonic wall clock minus the plant's time, s."""
-        return self._offset
+    def plant_time(self, wall: float) -> float:
+        """The plant's time at a moment of the monotonic clock, s: past slips are taken into account."""
+        index = max(0, bisect_right(self._slips, (wall, math.inf)) - 1)
+        return wall - self._slips[index][1]
+
+    def wall_time(self, at: float) -> float:
+        """The moment of the monotonic clock when the plant has its time `at`, as things stand, s."""
+        return at + self._offset
 
     # --- life ---------------------------------------------------------------------------------------------
 
@@ -93,6 +100,7 @@ class PtyBus:
         self._stopping.clear()
         self._time = self._plant.now()
         self._offset = time.monotonic() - self._time
+        self._slips = [(-math.inf, self._offset)]
         self._thread = threading.Thread(target=self._run, name="virtual-bus", daemon=True)
         self._thread.start()
 
@@ -194,6 +202,7 @@ class PtyBus:
         behind = wall - self._offset - self._time
         if behind > GIVE_UP:
             self._offset += behind
+            self._slips.append((wall, self._offset))
             self.slipped += behind
             self.bus.clear_line()
             return

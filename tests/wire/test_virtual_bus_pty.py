@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,25 @@ def test_time_follows_the_wall_clock_and_jobs_run_in_between(served: PtyBus) -> 
     assert later > first
     with pytest.raises(KeyError):
         served.call(lambda: served.bus.servo(99))
+
+
+@pytest.mark.parametrize("baud", [1_000_000], indirect=True)
+def test_a_machine_too_slow_lets_time_slip_and_remembers_when(served: PtyBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_backends.virtual_dynamixel.pty.GIVE_UP", 0.05)
+    early = time.monotonic()
+    before = served.plant_time(early)
+    served.call(lambda: threading.Event().wait(0.2))  # the physics stands still
+    served.call(lambda: None)
+
+    def look() -> tuple[float, float, float]:
+        now = time.monotonic()
+        assert served.wall_time(served.plant_time(now)) == pytest.approx(now, abs=1e-9)
+        return now, served.plant_time(now), served.slipped
+
+    now, later, slipped = served.call(look)
+    assert slipped >= 0.1
+    assert served.plant_time(early) == before
+    assert later - before == pytest.approx(now - early - slipped, abs=1e-9)
 
 
 @pytest.mark.parametrize("baud", [1_000_000], indirect=True)
