@@ -52,32 +52,33 @@ def other_objects(
         for item in sorted(regions, key=lambda item: item.area)
         if item.cue in ("level", "chroma") and item.core and item.area * factor**2 >= 0.5 * smallest**2
     ]
-    kept, merged = [], set()
+    kept: list[tuple[Floats, set[int]]] = []
     for contour in candidates:
         polygon = contour.astype(np.float32)
         covered = abs(float(cv2.contourArea(polygon)))
         inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
-        pieces = {i for i in inside if i in hidden}
         total = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside)
-        if total > 0.85 * covered and not _aligned([known[i] for i in pieces]):
-            # Whole shapes side by side, of one colour but at an angle: parts that touch.
-            pieces = set()
-        explained = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside if i not in pieces)
-        whole = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in pieces]
-        if any(_contains(outline, _middle(polygon)) for outline in whole):
+        joined = _aligned([known[i] for i in inside if i in hidden])
+        if total > 0.85 * covered and not joined:
             continue
-        if explained > 0.25 * covered:
+        outside = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in inside]
+        if any(_contains(outline, _middle(polygon)) for outline in outside):
             continue
-        kept.append(contour)
-        merged |= pieces
+        kept.append((contour, set(inside)))
     if not kept:
         return [], set()
-    outlines, seen = _on_edges(image, noise, kept, blur, minimum_contrast)
+    outlines, seen = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
     chosen: list[tuple[Floats, float]] = []
-    for outline, share in sorted(zip(outlines, seen, strict=True), key=lambda pair: -pair[1]):
-        if share < _SEEN:
-            continue
+    merged: set[int] = set()
+    for outline, sharp, (_, pieces) in sorted(zip(outlines, seen, kept, strict=True), key=lambda item: -item[1].mean()):
         polygon = outline.astype(np.float32)
+        share = float(sharp.mean())
+        if pieces:
+            # What sticks out beyond known shapes must be sharp by itself: a shadow is not.
+            free = _away(outline, [known[i] for i in pieces])
+            share = min(share, float(sharp[free].mean()) if free.sum() > 4 else 0.0)
+        if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest:
+            continue
         # Two cues may both propose it.
         if any(
             _contains(polygon, _middle(o.astype(np.float32))) or _contains(o.astype(np.float32), _middle(polygon))
@@ -85,7 +86,16 @@ def other_objects(
         ):
             continue
         chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN)))
-    return chosen, merged if chosen else set()
+        merged |= pieces
+    return chosen, merged
+
+
+def _away(points: Floats, outlines: list[Floats]) -> NDArray[np.bool_]:
+    """Which points are more than 4 px from all outlines."""
+    polygons = [outline.astype(np.float32) for outline in outlines]
+    return np.array(
+        [all(abs(cv2.pointPolygonTest(p, (float(x), float(y)), True)) > 4.0 for p in polygons) for x, y in points]
+    )
 
 
 def _aligned(outlines: list[Floats]) -> bool:
@@ -110,8 +120,8 @@ def _middle(polygon: NDArray[np.float32]) -> Floats:
 
 def _on_edges(
     image: NDArray[np.uint8], noise: Floats, contours: list[Floats], blur: float, minimum_contrast: float
-) -> tuple[list[Floats], list[float]]:
-    """Contours moved onto the nearest sharp edge, and the share of each where there is one."""
+) -> tuple[list[Floats], list[NDArray[np.bool_]]]:
+    """Contours moved onto the nearest sharp edge, and at which of their points there is one."""
     count = len(contours)
     points = np.stack([_even(contour) for contour in contours])
     ahead, back = np.roll(points, -1, axis=1), np.roll(points, 1, axis=1)
@@ -139,7 +149,7 @@ def _on_edges(
     at = np.where(seen, at, 0.0)
     at = np.median(np.stack([np.roll(at, i, axis=1) for i in (-1, 0, 1)]), axis=0)
     moved = points + at[..., None] * normal
-    return list(moved), [float(share) for share in seen.mean(axis=1)]
+    return list(moved), list(seen)
 
 
 def _even(contour: Floats) -> Floats:

@@ -27,7 +27,7 @@ class Precise(StrictModel):
     """Share of an outline that must be seen as an edge."""
     misfit_px: float = Field(0.10, gt=0.0, le=10.0)
     """How far an outline may stray from its shape, px, ..."""
-    misfit_share: float = Field(0.004, gt=0.0, le=0.1)
+    misfit_share: float = Field(0.005, gt=0.0, le=0.1)
     """... plus this share of the object's size."""
     others: bool = True
     """Whether objects of no known shape are reported."""

@@ -28,7 +28,7 @@ _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 
 
-_KEPT = 0.88
+_KEPT = 0.9
 """Share of the visible chunks that count for the misfit: a neighbour or a nick may spoil the others."""
 
 
@@ -103,7 +103,7 @@ class _Batch:
         return np.stack([np.cos(turn), np.sin(turn)], axis=-1), reach
 
 
-_SIDE = {family: np.repeat(np.arange(n), CHUNKS // n) for family, n in ((3, 3), (4, 4), (6, 6))}
+_SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6, 8)}
 
 
 def _pad(family: Family, q: Floats) -> Floats:
@@ -185,6 +185,8 @@ class _State:
     lines: Floats
     around: Floats
     inner: Floats
+    value: Floats
+    spacing: Floats
 
 
 def _chunk_ends(batch: _Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]:
@@ -226,6 +228,18 @@ def _chunk_ends(batch: _Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]
     across *= np.sign(np.sum(across * outward, axis=-1, keepdims=True))
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
     return a, b, across
+
+
+def chunk_middles(family: Family, q: Floats) -> Floats:
+    """Middles (CHUNKS, 2) of the chunks of an outline, local coordinates."""
+    if family is CIRCLE:
+        turn = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
+        return np.stack([q[0] + q[2] * np.cos(turn), q[1] + q[2] * np.sin(turn)], axis=1)
+    n = len(family.normals)
+    corner = _corners_in_order(family, q)
+    before = np.roll(corner, 1, axis=0)
+    t = (np.arange(CHUNKS // n) + 0.5) / (CHUNKS // n)
+    return np.asarray((before[:, None] + (corner - before)[:, None] * t[:, None]).reshape(-1, 2))
 
 
 def _corners_in_order(family: Family, q: Floats) -> Floats:
@@ -275,7 +289,7 @@ def _rounds(
         energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
         around = np.einsum("kcd,kcd->kc", dark, value * scaled) / energy
         rest = (value - around[..., None] * unlit) * root * free
-        state = _State(rest, free, weight, bell, unlit, lines, around, inner)
+        state = _State(rest, free, weight, bell, unlit, lines, around, inner, value, 2.0 * reach / (columns - 1))
         if step == rounds:
             return state
         if step > 0:
@@ -407,7 +421,11 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     """Per object: misfit and visibility from the profiles that remain."""
     stray, information = _strays(replace(state, weight=state.free))
     error = 1.0 / np.maximum(information, 1e-9)
-    loose = np.maximum(1.0, 0.02 * size)[:, None]
+    # The linear estimate saturates a blur away from the outline; the area under the profile does not.
+    share = (state.unlit - state.value / np.maximum(state.around, 1e-6)[..., None]) * state.free
+    plain = share.sum(axis=2) * state.spacing[:, None]
+    stray = np.where(np.abs(stray) < 0.5 * batch.blur[:, None], stray, plain)
+    loose = np.maximum(1.0, 0.012 * size)[:, None]
     level = math.sqrt(float(noise.trace()) / 3.0)
     energy = np.einsum("kcd,kcd->kc", state.free * state.lines[..., None], state.unlit**2)
     blank = (state.around * np.sqrt(energy) < 5.0) | (state.around * level < 2.5)

@@ -18,13 +18,15 @@ from controller.vision.local_map import LocalMaps
 from controller.vision.others import other_objects
 from controller.vision.proposals import Region
 from controller.vision.recipe import Precise
-from controller.vision.refine import Refined, refine
-from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, area, vertices
+from controller.vision.refine import Refined, chunk_middles, refine
+from controller.vision.shapes import CIRCLE, OCTAGON, RECTANGLE, TRIANGLE, area, vertices
 from controller.vision.silhouette import foot, measure, reach
 from controller.vision.timing import Stopwatch
 
 Floats = NDArray[np.float64]
 
+_THIN = 0.55
+"""Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 _TABLE = 2.3
 """Median strength, in standard deviations of the table, below which a face looks like the table (1.5 is typical)."""
 
@@ -115,6 +117,7 @@ def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[
             scene.settings.minimum_contrast, scene.settings.smallest_px,
         )  # fmt: skip
         found = [item for i, item in enumerate(found) if i not in merged]
+        found = [item for item in found if not any(_part_of(item, outline) for outline, _ in others)]
         for outline, score in others:
             flags = _border(outline, scene.image.shape)
             found.append(Found(Shape.OTHER, score, outline, outline, _centroid(outline), None, flags))
@@ -123,6 +126,13 @@ def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[
         found = _with_sides(scene.image, scene.noise, found, scene.plane)
         watch.lap("sides")
     return found
+
+
+def _part_of(item: Found, outline: Floats) -> bool:
+    """Whether a small shape lies on or in a larger object: a print, a hole, a glint."""
+    polygon = outline.astype(np.float32)
+    small = abs(cv2.contourArea(item.face.astype(np.float32))) < 0.5 * abs(cv2.contourArea(polygon))
+    return small and cv2.pointPolygonTest(polygon, (float(item.center[0]), float(item.center[1])), False) > 0.0
 
 
 def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
@@ -162,12 +172,17 @@ def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[_Judged
         if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
             continue
         outline = maps.to_pixels(h.region, vertices(h.family, r.q))
-        if not np.isfinite(outline).all():
+        if not np.isfinite(outline).all() or _width(outline) < _THIN * settings.smallest_px:
             continue
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
         out.append(_Judged(h, r, r.misfit / allowed, outline, covered))
     return out
+
+
+def _width(outline: Floats) -> float:
+    """Short side of the minimum-area rectangle, px."""
+    return float(min(cv2.minAreaRect(outline.astype(np.float32))[1]))
 
 
 def _top_within(scene: Scene, item: _Judged) -> Hypothesis:
@@ -236,7 +251,45 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
             chosen = min(inner, key=rank, default=item)
         if not any(_overlap(chosen.outline, other.outline) > 0.15 for other in accepted):
             accepted.append(chosen)
-    return _without_shadows(scene, accepted) if scene.sides else accepted
+    accepted = _without_octagons(scene, accepted)
+    if scene.sides:
+        return _without_shadows(scene, accepted)
+    return [item for item in accepted if not _strays(scene, item, accepted)]
+
+
+def _without_octagons(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
+    """Outlines without the circles that an octagon explains better; only circles with some misfit are asked."""
+    suspects = [item for item in accepted if item.hypothesis.family is CIRCLE and item.refined.chi > 3.0]
+    starts = []
+    for item in suspects:
+        turns = (np.arange(len(item.refined.strays)) + 0.5) * 2.0 * math.pi / len(item.refined.strays)
+        # Corners stick out of the circle; normals lie half way between them.
+        corner = float(np.angle(np.sum(item.refined.strays * item.refined.seen * np.exp(8j * turns)))) / 8.0
+        q = np.array([*item.refined.q[:2], 0.973 * item.refined.q[2], corner + math.pi / 8.0])
+        starts.append(replace(item.hypothesis, family=OCTAGON, q=q))
+    refined = refine(
+        scene.image, scene.noise, [h.family for h in starts], [h.q for h in starts], scene.maps,
+        [h.region for h in starts], float(np.median([i.refined.blur for i in suspects])) if suspects else 1.0,
+    )  # fmt: skip
+    octagons = {
+        id(item) for item, r in zip(suspects, refined, strict=True) if r is not None and r.chi < 0.5 * item.refined.chi
+    }
+    return [item for item in accepted if id(item) not in octagons]
+
+
+def _strays(scene: Scene, item: _Judged, accepted: list[_Judged]) -> bool:
+    """Whether an outline leaves its shape where no neighbour is to blame: a nut with a bolt in it, a torn edge."""
+    off = ~item.refined.seen & ~item.refined.blank
+    if off.mean() < 0.05:
+        return False
+    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
+    points = scene.maps.to_pixels(k, chunk_middles(family, q)[off])
+    near = 4.0 + 0.1 * math.sqrt(item.area)
+    others = [other.outline.astype(np.float32) for other in accepted if other is not item]
+    alone = [
+        all(cv2.pointPolygonTest(outline, (float(x), float(y)), True) < -near for outline in others) for x, y in points
+    ]
+    return sum(alone) > 0.05 * len(off)
 
 
 def _rival(item: _Judged, other: _Judged) -> bool:
