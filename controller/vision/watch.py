@@ -34,27 +34,22 @@ class WatchedCamera:
     Args:
         camera: The camera.
         clock: The cell's clock.
-        repeats: So many pictures in a row that are equal to the bit are no coincidence but a frozen stream: the
-            noise of a sensor never repeats.
 
     Attributes:
         torn: Pictures passed over because a part was missing.
         scenery: What must look the same in every picture; None: nothing is known yet.
     """
 
-    def __init__(self, camera: Camera, clock: Clock, repeats: int = 3) -> None:
+    def __init__(self, camera: Camera, clock: Clock) -> None:
         self._camera = camera
         self._clock = clock
-        self._repeats = repeats
         self._last: NDArray[np.uint8] | None = None
-        self._equal = 1
         self.torn = 0
         self.scenery: Scenery | None = None
 
     def open(self) -> None:
-        """Open the camera; what was seen before no longer counts."""
+        """Open the camera. The last picture is still known: a frozen one does not become new by opening again."""
         self._camera.open()
-        self._last, self._equal = None, 1
 
     def close(self) -> None:
         """Close the camera."""
@@ -93,14 +88,14 @@ class WatchedCamera:
             raise PictureUnusable(
                 frame.source, "look", "most of the picture is overexposed", "shade the light or lower the exposure"
             )
-        repeated = self._last is not None and np.array_equal(sample, self._last)
-        self._equal = self._equal + 1 if repeated else 1
+        # The noise of a sensor never repeats: one picture equal to the bit is no coincidence but a frozen stream.
+        frozen = self._last is not None and np.array_equal(sample, self._last)
         self._last = sample
-        if self._equal >= self._repeats:
+        if frozen:
             raise PictureUnusable(
                 frame.source,
                 "look",
-                f"the camera is frozen: {self._equal} pictures in a row are equal to the bit",
+                "the camera is frozen: the picture equals the last one to the bit",
                 "unplug it and plug it in again",
             )
         if self.scenery is not None and (found := trouble(self.scenery.compare(frame.image))) is not None:
