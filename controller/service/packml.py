@@ -19,16 +19,16 @@ class PackML(StrEnum):
     HELD = "HELD"
     SUSPENDED = "SUSPENDED"
     STOPPING = "STOPPING"
+    ABORTING = "ABORTING"
     ABORTED = "ABORTED"
-    CLEARING = "CLEARING"
 
 
 class Pending(StrEnum):
-    """What an operator has asked for and the cell has not yet done."""
+    """What has been asked for and the cell has not yet done; `ABORT` is asked for by a fault."""
 
     STOP = "stop"
     PAUSE = "pause"
-    RESET = "reset"
+    ABORT = "abort"
 
 
 _AT_WORK = (State.CAPTURE, State.DETECT, State.LOCALIZE, State.PICK, State.PLACE)
@@ -47,7 +47,7 @@ _TABLE: Mapping[tuple[State | None, Pending | None], PackML] = {
     (State.FAULT, None): PackML.ABORTED,
     **{(state, Pending.STOP): PackML.STOPPING for state in (*_RUNNING, State.HELD)},
     **{(state, Pending.PAUSE): PackML.HOLDING for state in _RUNNING},
-    (State.FAULT, Pending.RESET): PackML.CLEARING,
+    **{(state, Pending.ABORT): PackML.ABORTING for state in (*_RUNNING, State.HELD)},
 }
 
 

@@ -87,4 +87,5 @@ def test_the_names_say_what_is_going_on() -> None:
     assert packml(State.HELD, Pending.PAUSE) is PackML.HELD
     assert packml(State.STOPPED, Pending.STOP) is PackML.STOPPED
     assert packml(State.FAULT, Pending.STOP) is PackML.ABORTED
-    assert packml(State.FAULT, Pending.RESET) is PackML.CLEARING
+    assert packml(State.PLACE, Pending.ABORT) is PackML.ABORTING
+    assert packml(State.FAULT, Pending.ABORT) is PackML.ABORTED

@@ -1,0 +1,235 @@
+"""A cell operated from outside: only a start from STOPPED begins anything, and a stop is never lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from controller.cycle.machine import State
+from controller.cycle.sorter import Sorter
+from controller.errors import SafetyStop, SorterError
+from controller.service.controls import Controls, Refused
+from controller.service.operation import CellFacts, Operation, Work
+from controller.service.requests import CHANGING, READING
+
+FACTS = CellFacts("real", "cell.toml", "c0ffee", "cell-1")
+
+
+class PretendedWork:
+    """Sorts nothing, until it is stopped.
+
+    Attributes:
+        running: Set while it sorts.
+        told: What it was asked for.
+    """
+
+    def __init__(self, operation: Operation) -> None:
+        self.fault: SorterError | None = None
+        self.running = threading.Event()
+        self.told: list[str] = []
+        self._operation = operation
+        self._over = threading.Event()
+
+    def run(self) -> None:
+        self._operation.entered(State.CAPTURE, 1.0)
+        self.running.set()
+        assert self._over.wait(20.0)
+        self._operation.entered(State.STOPPED if self.fault is None else State.FAULT, 2.0)
+
+    def request_stop(self) -> None:
+        self.told.append("stop")
+        self._over.set()
+
+    def request_pause(self) -> None:
+        self.told.append("pause")
+
+    def resume(self) -> None:
+        self.told.append("resume")
+
+    def fail(self, error: SorterError) -> None:
+        """Latch a fault, as the cycle does, and go on bringing the arm to rest."""
+        self.fault = error
+        self._operation.faulted(error, 2.0)
+
+    def rest(self) -> None:
+        self._over.set()
+
+
+class Cell:
+    """An operation and the main thread that serves it."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.beats = 0
+        self.operation = Operation(FACTS, lambda: ("camera.width",), say=self.said.append)
+        self.works: list[PretendedWork] = []
+        self._begun = threading.Semaphore(0)
+        self._rested = threading.Semaphore(0)
+        self.thread = threading.Thread(target=self._serve)
+
+    def _serve(self) -> None:
+        while self.operation.wait_for_start(self._beat):
+            work = PretendedWork(self.operation)
+            self.works.append(work)
+            self._begun.release()
+            self.operation.sort(work)
+            self._rested.release()
+
+    def _beat(self) -> None:
+        self.beats += 1
+
+    def start(self) -> PretendedWork:
+        self.operation.start()
+        assert self._begun.acquire(timeout=20.0)
+        work = self.works[-1]
+        assert work.running.wait(20.0)
+        return work
+
+    def rested(self) -> None:
+        assert self._rested.acquire(timeout=20.0)
+
+    def shows(self) -> str:
+        return str(self.operation.status().packml)
+
+
+@contextmanager
+def _served(prepare: Callable[[Cell], None]) -> Iterator[Cell]:
+    cell = Cell()
+    prepare(cell)
+    cell.thread.start()
+    try:
+        yield cell
+    finally:
+        cell.operation.end()
+        cell.thread.join(20.0)
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    with _served(lambda cell: cell.operation.ready()) as serving:
+        yield serving
+
+
+def test_the_cycle_is_what_it_runs_and_the_control_socket_what_it_serves() -> None:
+    # The type checker compares the signatures.
+    works: list[type[Work]] = [Sorter, PretendedWork]
+    served: type[Controls] = Operation
+    for work in works:
+        assert all(callable(getattr(work, name)) for name in ("run", "request_stop", "request_pause", "resume"))
+    assert all(callable(getattr(served, name)) for name in (*CHANGING, *READING, "stop"))
+
+
+def test_nothing_starts_before_everything_is_ready() -> None:
+    operation = Operation(FACTS, lambda: ())
+    assert str(operation.status().packml) == "RESETTING"
+    with pytest.raises(Refused, match="RESETTING"):
+        operation.start()
+
+
+def test_a_start_a_pause_a_resume_and_a_stop(cell: Cell) -> None:
+    assert cell.shows() == "STOPPED"
+    work = cell.start()
+    assert cell.shows() == "EXECUTE"
+    cell.operation.pause()
+    assert cell.shows() == "HOLDING"
+    cell.operation.entered(State.HELD, 3.0)
+    assert cell.shows() == "HELD"
+    cell.operation.resume()
+    cell.operation.stop()
+    assert work.told == ["pause", "resume", "stop"]
+    cell.rested()
+    assert cell.shows() == "STOPPED"
+    assert cell.said[0] == "STOPPED: 0 placed"
+    assert cell.said[-1] == "STOPPED: 0 placed"
+
+
+def test_it_can_be_started_again_and_only_once_at_a_time(cell: Cell) -> None:
+    for _ in range(3):
+        cell.start()
+        with pytest.raises(Refused, match="EXECUTE"):
+            cell.operation.start()
+        cell.operation.stop()
+        cell.rested()
+    assert len(cell.works) == 3
+
+
+@pytest.mark.parametrize("command", ["pause", "resume", "reset"])
+def test_what_the_state_does_not_allow_is_refused(cell: Cell, command: str) -> None:
+    with pytest.raises(Refused):
+        getattr(cell.operation, command)()
+    cell.operation.stop()
+    assert cell.shows() == "STOPPED"
+
+
+def test_a_stop_between_a_start_and_its_work_is_not_lost() -> None:
+    operation = Operation(FACTS, lambda: ())
+    operation.ready()
+    operation.start()
+    operation.stop()
+    assert operation.wait_for_start(lambda: None)
+    work = PretendedWork(operation)
+    operation.sort(work)
+    assert not work.running.is_set()
+    assert str(operation.status().packml) == "STOPPED"
+
+
+def test_a_fault_latches_until_it_is_reset_and_a_reset_starts_nothing(cell: Cell) -> None:
+    work = cell.start()
+    work.fail(SafetyStop("the elbow does not follow", "clear the way"))
+    assert cell.shows() == "ABORTING"
+    with pytest.raises(Refused, match="not at rest"):
+        cell.operation.reset()
+    work.rest()
+    cell.rested()
+    assert cell.shows() == "ABORTED"
+    assert "elbow" in cell.operation.status().reason
+    cell.operation.acknowledge(None)
+    with pytest.raises(Refused, match="a fault is latched: the elbow does not follow"):
+        cell.operation.start()
+    cell.operation.reset()
+    assert cell.shows() == "STOPPED"
+    assert not cell.operation.alarms()[0].active
+    assert len(cell.works) == 1
+    cell.start()
+
+
+def test_the_first_fault_is_the_one_that_is_shown(cell: Cell) -> None:
+    work = cell.start()
+    work.fail(SafetyStop("first"))
+    cell.operation.faulted(SorterError("second"), 3.0)
+    assert cell.operation.status().reason == "first"
+    assert [alarm.first_out for alarm in cell.operation.alarms()] == [True, False]
+    work.rest()
+    cell.rested()
+
+
+def test_a_cell_that_must_be_looked_at_comes_up_aborted() -> None:
+    fault = SafetyStop("three unclean starts", "look at the cell")
+    with _served(lambda cell: cell.operation.ready(fault=fault, may_hold_part=True)) as cell:
+        assert cell.shows() == "ABORTED"
+        assert cell.operation.status().may_hold_part
+        with pytest.raises(Refused, match="three unclean starts"):
+            cell.operation.start()
+        cell.operation.reset()
+        assert not cell.operation.status().may_hold_part
+        cell.start()
+
+
+def test_the_end_stops_the_work_and_the_waiting(cell: Cell) -> None:
+    work = cell.start()
+    cell.operation.end()
+    cell.thread.join(20.0)
+    assert not cell.thread.is_alive()
+    assert work.told == ["stop"]
+    with pytest.raises(Refused):
+        cell.operation.start()
+
+
+def test_the_end_may_come_from_a_signal_in_the_waiting_thread() -> None:
+    operation = Operation(FACTS, lambda: ())
+    operation.ready()
+    # As a signal's handler would: in the thread that waits, while it holds the lock.
+    assert operation.wait_for_start(operation.end) is False
