@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.domain import ArmDescription, Array, Bin, PickPlan, Trajectory
 from controller.errors import LimitViolation
@@ -86,6 +87,20 @@ class Gate:
             raise _violation(name, "tool speed", float(speeds.max()), TOOL_SPEED, "mm/s")
         self._jaws(name, q, body[:, 3], opening if opening is not None else self.arm.gripper.opening[1])
 
+    def jaws_inside(self, bin: Bin, q: Array, opening: float) -> bool:
+        """Whether the jaws, opened, stand clear of the walls inside a bin in a posture (J,)."""
+        tips = self._tips(q[None], points(self.arm, q)[None, 3], opening)
+        return bool(_inside(np.abs(tips[..., :2] - np.array(bin.center)), np.array(bin.size) / 2.0)[0])
+
+    def _tips(self, q: Array, tool: Array, opening: float) -> Array:
+        """Outer corners of the jaw tips in `table`: ndarray of shape (N, 4, 3), mm."""
+        gripper = self.arm.gripper
+        along = opening / 2.0 + gripper.jaw_size[0]
+        across = gripper.jaw_size[1] / 2.0
+        corners = np.array([[gripper.jaw_depth, a, b] for a in (-along, along) for b in (-across, across)])
+        way = corners @ rotation(q).transpose(0, 2, 1) + tool[:, None]
+        return transform(invert(self.T_base_table), way)
+
     def _numbers(self, trajectory: Trajectory, start: Array) -> None:
         name, q, goals = trajectory.name, trajectory.positions, trajectory.goals
         if q.ndim != 2 or q.shape != goals.shape or q.shape[1] != len(self.arm.joints) or not len(q):
@@ -135,29 +150,26 @@ class Gate:
             gap = np.linalg.norm(arm - self.eye, axis=2).min(axis=1)
             if gap.min() < min(CAMERA_ROOM, float(gap[0])) - 1e-6:
                 raise _violation(name, "distance from the camera", float(gap.min()), CAMERA_ROOM, "mm")
-        near = np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
-        inside = (arm[..., 2] < c.axis[1] + COLUMN[1]) & (near < COLUMN[0])
-        depth = np.where(inside, COLUMN[0] - near, 0.0).max(axis=1)
+        # How deep in the column a point is: the shorter way out, to the side or up. An arm that rests on its
+        # column may leave it by any way that does not press it further in.
+        near = COLUMN[0] - np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
+        under = c.axis[1] + COLUMN[1] - arm[..., 2]
+        depth = np.clip(np.minimum(near, under), 0.0, None).max(axis=1)
         if depth.max() > depth[0] + 1e-6:
-            value = COLUMN[0] - float(depth.max())
-            raise _violation(name, "distance from the arm's own column", value, COLUMN[0], "mm")
+            raise _violation(name, "depth in the arm's own column", float(depth.max()), float(depth[0]), "mm")
 
     def _jaws(self, name: str, q: Array, tool: Array, opening: float) -> None:
         """Jaw tips against the table and the walls of the bins."""
         gripper = self.arm.gripper
-        along = opening / 2.0 + gripper.jaw_size[0]
-        across = gripper.jaw_size[1] / 2.0
         walls = max([TABLE_MARGIN, *(bin_.height + WALL_MARGIN for bin_ in self.bins)])
         # From the first sample to the last that may be low; the rest is far above everything.
-        low_enough = tool[:, 2] - self.T_base_table[2, 3] < walls + math.hypot(gripper.jaw_depth, along, across)
+        reach = math.hypot(gripper.jaw_depth, opening, gripper.jaw_size[0])
+        low_enough = tool[:, 2] - self.T_base_table[2, 3] < walls + reach
         if not low_enough.any():
             return
         part = slice(int(np.argmax(low_enough)), len(q) - int(np.argmax(low_enough[::-1])))
-        q, tool = q[part], tool[part]
-        tip = np.array([gripper.jaw_depth, 0.0, 0.0])
-        corners = tip + np.array([[0.0, a, b] for a in (-along, along) for b in (-across, across)])
-        way = corners @ rotation(q).transpose(0, 2, 1) + tool[:, None]
-        way = transform(invert(self.T_base_table), way)
+        q = q[part]
+        way = self._tips(q, tool[part], opening)
         height = way[..., 2].min(axis=1)
         if height.min() < min(TABLE_MARGIN, float(height[0])) - 1e-6:
             raise _violation(name, "height of the jaw tips over the table", float(height.min()), TABLE_MARGIN, "mm")
@@ -167,7 +179,7 @@ class Gate:
                 continue
             flat = np.abs(way[low][..., :2] - np.array(bin_.center))
             half = np.array(bin_.size) / 2.0
-            inside = (flat <= half - WALL_MARGIN).all(axis=(1, 2))
+            inside = _inside(flat, half)
             box = _beside(way[low][..., :2] - np.array(bin_.center), half + WALL + WALL_MARGIN)
             bad = np.zeros(len(q), bool)
             bad[low] = ~(inside | box)
@@ -178,7 +190,12 @@ class Gate:
                 raise _violation(name, what, float(height[bad].min()), limit, "mm")
 
 
-def _beside(quads: Array, half: Array) -> Array:
+def _inside(flat: Array, half: Array) -> NDArray[np.bool_]:
+    """Which of the tips (N, 4, 2), given by their distances from a bin's middle, lie clear of its walls inside."""
+    return np.asarray((flat <= half - WALL_MARGIN).all(axis=(1, 2)))
+
+
+def _beside(quads: Array, half: Array) -> NDArray[np.bool_]:
     """Which of the quads (N, 4, 2) lie wholly on the outer side of one edge line of a box about the origin."""
     out = np.zeros(len(quads), bool)
     for k in range(2):

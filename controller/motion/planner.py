@@ -45,7 +45,9 @@ CORNER = 100.0  # mm of sideways travel that are rounded into the stroke
 CLEARANCE = 10.0  # mm over walls and parts in transit
 TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
 PART_BELOW_TIPS = grasps.TIP_HEIGHT
+TILT_ROOM = 3.0  # mm that a jaw's corner comes lower at the flattest pitch than pointing down
 FALL = 8.0  # mm that a part may fall onto what lies in the bin
+MIN_BEND = math.radians(8.0)
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
 
 
@@ -230,14 +232,20 @@ class Planner:
                 next((q for k, q in solutions(self.arm, place, pitch, roll, within=True) if k == 0), None)
                 for place in (position, position + np.array([0.0, 0.0, rise]))
             ]
-            if ends[0] is not None and ends[1] is not None:
+            # A stretched arm would have to move infinitely fast along the stroke.
+            if ends[0] and ends[1] and min(self._bend(ends[0]), self._bend(ends[1])) > MIN_BEND:
                 return _Stop(np.array(ends[0]), np.array(ends[1]), rise)
         for over in (0.0, rise):
             inverse(self.arm, position + np.array([0.0, 0.0, over]), TOP_DOWN, roll)
         raise Unreachable(
-            f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached over the back or elbow down",
-            "move it in front of the arm",
+            f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached with the arm stretched out or folded back",
+            "move it nearer, or in front of the arm",
         )
+
+    def _bend(self, q: Sequence[float]) -> float:
+        """Angle by which the elbow is bent away from straight, rad."""
+        c = chain(self.arm)
+        return abs(q[2] - (c.fore[1] - c.upper[1]))
 
     def _drop_stop(
         self,
@@ -263,7 +271,7 @@ class Planner:
         if (np.abs(np.array(drop) - bin.center) > half).any():
             raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
         opening = grasp.opening if grasp is not None else gripper.opening[1]
-        brim = bin.height + WALL_MARGIN + 1.0
+        brim = bin.height + WALL_MARGIN + TILT_ROOM
         over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
         deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
         best: tuple[float, _Stop] | None = None
@@ -278,8 +286,11 @@ class Planner:
                     rest[0] * math.sin(turn) + rest[1] * math.cos(turn),
                 )
                 place = (drop[0] - shift[0], drop[1] - shift[1])
-                fits = self._jaws_fit(bin, place, closing_direction(stop.low) - self._yaw, opening)
-                stop = self._stop(place, min(deep, over) if fits else over, (roll,))
+                if deep < over:
+                    stop = self._stop(place, deep, (roll,))
+                fits = deep < over and self.gate.jaws_inside(bin, stop.low, opening)
+                if not fits:
+                    stop = self._stop(place, over, (roll,))
             except Unreachable as error:
                 failure = failure or error
                 continue
@@ -299,17 +310,6 @@ class Planner:
         azimuth = math.atan2(y, x - chain(self.arm).axis[0])
         rolls = [r for k in range(2) for r in roll_for(self.arm, azimuth, self._yaw + k * math.pi / 2)]
         return tuple(rolls) or (0.0,)
-
-    def _jaws_fit(self, bin: Bin, place: Point, direction: float, opening: float) -> bool:
-        """Whether the opened jaws lie within the walls of a bin."""
-        thickness, across = self.arm.gripper.jaw_size
-        c, s = abs(math.cos(direction)), abs(math.sin(direction))
-        along, beside = opening / 2.0 + thickness, across / 2.0
-        extent = (along * c + beside * s, along * s + beside * c)
-        room = [
-            bin.size[k] / 2.0 - abs(place[k] - bin.center[k]) - extent[k] - WALL_MARGIN - 1.0 for k in range(2)
-        ]
-        return min(room) >= 0.0
 
     # --- paths --------------------------------------------------------------------------------------------
 

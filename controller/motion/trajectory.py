@@ -23,6 +23,8 @@ SMOOTHING = 0.04  # s: the moving average that bounds the jerk at about 2 a / 40
 PAYLOAD_BLEND = 0.1  # s over which a gripped part's weight comes to the offset, and goes from it
 _GRID_STEP = 0.01  # phase
 _FINE = 0.001  # s
+_STRETCHES = 5  # tries to bring the samples under the limits, each nearer
+_TOLERANCE = 0.01  # share of a limit that the samples may exceed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,18 +121,18 @@ def generate(
     """
     limits = speed_limits(arm), acceleration_limits(arm)
     timing = fastest(path, *limits)
-    stretch = 1.0
-    for _ in range(2):
+    stretch = 1.0 / speed
+    for _ in range(_STRETCHES):
         phase, rate, gain, ticks = _smoothed(timing, stretch)
-        _, qd, qdd = _along(path, phase[::10], rate[::10], gain[::10])
-        over = max(float((np.abs(qd) / limits[0]).max()), math.sqrt(float((np.abs(qdd) / limits[1]).max())))
-        if over <= 1.0:
+        index = np.arange(ticks + 1) * round(PERIOD / _FINE)
+        positions = np.asarray(path.spline(phase[index]))
+        # The grid sees only its own points: what is streamed decides.
+        qd = np.diff(positions, axis=0) / PERIOD
+        qdd = np.diff(qd, axis=0) / PERIOD
+        over = max(float((np.abs(qd) / limits[0]).max()), math.sqrt(float((np.abs(qdd) / limits[1]).max()))) / speed
+        if over <= 1.0 + _TOLERANCE:
             break
-        stretch *= over * 1.001
-    if speed < 1.0:
-        phase, rate, gain, ticks = _smoothed(timing, stretch / speed)
-    index = np.arange(ticks + 1) * round(PERIOD / _FINE)
-    positions = np.asarray(path.spline(phase[index]))
+        stretch *= over
     ahead = np.minimum(index + round(dynamics.lead(PERIOD) / _FINE), len(phase) - 1)
     q, qd, qdd = _along(path, phase[ahead], rate[ahead], gain[ahead])
     share = np.clip(ahead * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
