@@ -53,11 +53,12 @@ def test_a_trapezoid_from_rest_is_the_fastest_way_within_its_limits(
     assert duration(profile) == pytest.approx(fastest, rel=1e-6, abs=1e-6)
 
 
-@given(positions, velocities, positions, st.floats(0.02, 5.0), st.floats(0.0, 1.0))
+@given(positions, velocities, positions, st.integers(1, 5000), st.integers(0, 5000))
 def test_a_timed_profile_takes_its_time_and_arrives(
-    position: float, velocity: float, goal: float, seconds: float, share: float
+    position: float, velocity: float, goal: float, duration_ms: int, ramp_ms: int
 ) -> None:
-    profile = timed(1.0, position, velocity, goal, seconds, share * seconds)
+    seconds = duration_ms * 1e-3
+    profile = timed(1.0, position, velocity, goal, seconds, ramp_ms * 1e-3)
     assert duration(profile) == pytest.approx(seconds)
     assert profile.at(1.0)[0] == pytest.approx(position)
     assert ends(profile)[-1][0] == pytest.approx(goal, abs=1e-5)
