@@ -162,14 +162,14 @@ def _true_lens(spec: CellSpec, imperfections: Imperfections) -> Lens:
 
 def overview_lens(size: tuple[int, int]) -> Lens:
     """An undistorted camera ahead of the arm and to its right that sees the whole table."""
-    eye, target = np.array([760.0, -560.0, 620.0]), np.array([40.0, 0.0, 40.0])
+    eye, target = np.array([800.0, -600.0, 640.0]), np.array([40.0, 0.0, 85.0])
     ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     place = np.eye(4)
     place[:3, :3] = np.column_stack([right, np.cross(ahead, right), ahead])
     place[:3, 3] = eye
-    focal = 1.35 * size[0]
+    focal = 1.2 * size[0]
     matrix = np.array([[focal, 0.0, (size[0] - 1) / 2.0], [0.0, focal, (size[1] - 1) / 2.0], [0.0, 0.0, 1.0]])
     return Lens(matrix, np.zeros(5), size, place)
 

@@ -41,11 +41,14 @@ def offset(ring: Array, by: Array | float) -> Array:
     before = np.concatenate([normal[-1:], normal[:-1]])
     cosine = (before * normal).sum(axis=1)
     flat = cosine > 0.999
+    if isinstance(by, np.ndarray):
+        moved = np.concatenate([by[-1:], by[:-1]])
+        # Almost parallel lines moved by different amounts meet far away: such a corner goes half-way instead.
+        flat |= (cosine > 0.9) & (moved != by)
     # A needle's point would move far; it moves four times the offset at most.
     determinant = np.where(flat, 1.0, np.maximum(1.0 - cosine**2, np.where(cosine < 0.0, 0.05, 0.0)))
     if isinstance(by, np.ndarray):
-        moved = np.concatenate([by[-1:], by[:-1]])
-        a = np.where(flat, moved, moved - cosine * by) / determinant
+        a = np.where(flat, 0.5 * (moved + by), moved - cosine * by) / determinant
         b = np.where(flat, 0.0, by - cosine * moved) / determinant
     else:
         a = by * np.where(flat, 1.0, 1.0 - cosine) / determinant

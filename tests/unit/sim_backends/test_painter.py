@@ -123,6 +123,20 @@ def test_outlines_of_parts_are_where_the_lens_puts_them(plain: SimulatedCell) ->
     assert float(np.std(errors)) < 0.1
 
 
+def test_tops_are_of_one_tone_up_to_their_rims() -> None:
+    """For twenty parts all over the table: no face shows through another."""
+    crowded = cell(parts=20, seed=7, overrides={**PLAIN, "part_gap": 0.0})
+    away(crowded)
+    painted = crowded._painter.paint(crowded.world.snapshot())
+    for part, pose in zip(crowded.world.parts, crowded.world.part_poses(), strict=True):
+        flat = turned(part.outline, 2.0 * math.atan2(pose[6], pose[3])) + pose[:2]
+        pixels, _ = crowded.lens.project(np.column_stack([flat, np.full(len(flat), part.height)]))
+        inner = np.zeros(painted.shape[:2], np.uint8)
+        cv2.fillPoly(inner, [np.rint(pixels).astype(np.int32)], 1)
+        inside = painted[cv2.erode(inner, np.ones((5, 5), np.uint8)) > 0]
+        assert np.ptp(inside.astype(int), axis=0).max() <= 2, part.shape  # rounding only
+
+
 def true_edges(cell_: SimulatedCell, index: int) -> list[tuple[Array, Array]]:
     """Points on the true outline in the picture, with the normals that point out of it."""
     part = cell_.world.parts[index]
