@@ -30,6 +30,8 @@ def other_objects(
     blur: float,
     minimum_contrast: float,
     smallest: float,
+    *,
+    whole: Sequence[int],
 ) -> tuple[list[tuple[Floats, float]], set[int]]:
     """Outlines (N, 2), px, and scores of objects that no known outline explains.
 
@@ -43,6 +45,7 @@ def other_objects(
         blur: Typical blur of the frame's edges, px.
         minimum_contrast: Smallest step believed, levels.
         smallest: Smallest width worth reporting, px.
+        whole: Which of `known` are certainly no pieces: what sticks out beside them is a shadow or a side face.
 
     Returns:
         The objects, and which of `known` are only pieces of them.
@@ -59,7 +62,7 @@ def other_objects(
         inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
         total = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside)
         joined = _aligned([known[i] for i in inside if i in hidden])
-        if total > 0.85 * covered and not joined:
+        if (total > 0.85 * covered and not joined) or any(i in whole for i in inside):
             continue
         outside = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in inside]
         if any(_contains(outline, _middle(polygon)) for outline in outside):

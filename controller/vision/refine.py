@@ -94,6 +94,7 @@ class _Batch:
     turn_of: NDArray[np.intp]
     round_: NDArray[np.bool_]
     moves: NDArray[np.bool_]
+    group: NDArray[np.intp]
 
     def geometry(self) -> tuple[Floats, Floats]:
         """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
@@ -138,6 +139,7 @@ def _batch(families: Sequence[Family], qs: Sequence[Floats], index: Sequence[int
         turn_of,
         np.array([f is CIRCLE for f in families]),
         np.array([f.moves for f in families]),
+        np.array([CHUNKS if f.sizes == 1 else CHUNKS // len(f.normals) for f in families]),
     )
 
 
@@ -295,7 +297,7 @@ def _rounds(
         if step > 0:
             spread = np.maximum(1.0, 1.4826 * np.median(np.abs(rest).reshape(len(rest), -1), axis=1))
             ratio = np.minimum(np.abs(rest) / (6.0 * spread[:, None, None]), 1.0)
-            weight = free * (1.0 - ratio**2) ** 2 * _agreement(state)[..., None]
+            weight = free * (1.0 - ratio**2) ** 2 * _agreement(state, batch.group)[..., None]
             scaled = np.sqrt(weight) * root
             dark = unlit * scaled
             energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
@@ -326,13 +328,24 @@ def _strays(state: _State) -> tuple[Floats, Floats]:
     return deviation / np.maximum(information, 1e-9), information
 
 
-def _agreement(state: _State) -> Floats:
-    """Tukey's weight (K, CHUNKS) of chunks by how far they stray: contacts with neighbours stray far."""
+def _agreement(state: _State, group: NDArray[np.intp]) -> Floats:
+    """Tukey's weight (K, CHUNKS) of chunks by how far they stray from the others that move with them.
+
+    Contacts with neighbours stray far; a whole side of a rectangle may, as long as it has not been found.
+
+    Args:
+        state: Where the fit stands.
+        group: ndarray of shape (K,): how many chunks in a row move together.
+    """
     stray, information = _strays(state)
-    middle = np.median(stray, axis=1, keepdims=True)
-    spread = 1.4826 * np.median(np.abs(stray - middle), axis=1, keepdims=True)
+    apart = np.empty_like(stray)
+    for size in np.unique(group):
+        rows = group == size
+        split = stray[rows].reshape(int(rows.sum()), -1, size)
+        apart[rows] = np.abs(split - np.median(split, axis=2, keepdims=True)).reshape(-1, CHUNKS)
+    spread = 1.4826 * np.median(apart, axis=1, keepdims=True)
     limit = 4.0 * np.maximum(spread, 0.04) + 3.0 / np.sqrt(np.maximum(information, 1e-9))
-    weight = (1.0 - np.minimum(np.abs(stray - middle) / limit, 1.0) ** 2) ** 2
+    weight = (1.0 - np.minimum(apart / limit, 1.0) ** 2) ** 2
     # Not quite nothing: the surroundings of a chunk are still to be estimated.
     return np.asarray(np.maximum(weight, 1e-4))
 

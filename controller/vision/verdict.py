@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 
 _THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
+_TORN = 0.13
+"""Share of an outline that may run elsewhere without a neighbour to blame."""
 _TABLE = 2.3
 """Median strength, in standard deviations of the table, below which a face looks like the table (1.5 is typical)."""
 
@@ -115,6 +117,7 @@ def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[
         others, merged = other_objects(
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
             scene.settings.minimum_contrast, scene.settings.smallest_px,
+            whole=[i for i, item in enumerate(accepted) if scene.sides or _whole(item)],
         )  # fmt: skip
         found = [item for i, item in enumerate(found) if i not in merged]
         found = [item for item in found if not any(_part_of(item, outline) for outline, _ in others)]
@@ -280,7 +283,7 @@ def _without_octagons(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
 def _strays(scene: Scene, item: _Judged, accepted: list[_Judged]) -> bool:
     """Whether an outline leaves its shape where no neighbour is to blame: a nut with a bolt in it, a torn edge."""
     off = ~item.refined.seen & ~item.refined.blank
-    if off.mean() < 0.05:
+    if off.mean() < _TORN:
         return False
     k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
     points = scene.maps.to_pixels(k, chunk_middles(family, q)[off])
@@ -289,7 +292,7 @@ def _strays(scene: Scene, item: _Judged, accepted: list[_Judged]) -> bool:
     alone = [
         all(cv2.pointPolygonTest(outline, (float(x), float(y)), True) < -near for outline in others) for x, y in points
     ]
-    return sum(alone) > 0.05 * len(off)
+    return sum(alone) > _TORN * len(off)
 
 
 def _rival(item: _Judged, other: _Judged) -> bool:
@@ -341,6 +344,11 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
     at = (np.arange(count) + 0.5) / count * ends[-1]
     which = np.searchsorted(ends, at).clip(0, len(outline) - 1)
     return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
+
+
+def _whole(item: _Judged) -> bool:
+    """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
+    return item.badness < 0.3 and item.refined.visible > 0.95 and not item.refined.blank.any()
 
 
 def _merged(scene: Scene, item: _Judged) -> bool:
