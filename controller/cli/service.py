@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from controller.config.cell import load_cell
+from controller.errors import SorterError
 from controller.service import unit
 
 app = typer.Typer(help="Install, remove and look at the systemd service.", no_args_is_help=True)
@@ -40,8 +41,15 @@ def install(
     path = config.absolute()
     if path.is_file():
         load_cell(path)
+    try:
+        program = unit.program()
+    except SorterError as error:
+        if not dry_run:
+            raise
+        program = Path(sys.executable).parent / "controller"
+        print(f"warning: {error}", file=sys.stderr)
     plan = unit.plan(
-        unit.program(),
+        program,
         path,
         arm_serial=arm_serial,
         camera_serial=camera_serial,
@@ -87,12 +95,12 @@ def uninstall(dry_run: DryRun = False, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def status(config: ConfigFile = unit.CONFIG, as_json: AsJson = False) -> int:
+def status(as_json: AsJson = False) -> int:
     """Say whether the service is installed and running; the exit code is 0 only when it runs.
 
     Example: controller service status --json
     """
-    found = unit.status(unit.plan(Path(unit.program_or_name()).absolute(), config.absolute()))
+    found = unit.status()
     if as_json:
         differing = [str(path) for path in found.differing]
         figures = {"installed": found.installed, "active": found.active, "differing": differing}

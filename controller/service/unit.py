@@ -36,6 +36,7 @@ _ANY_USB = 'ATTRS{idVendor}=="?*"'
 # What the unit's ProtectHome and PrivateTmp hide from the service.
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
 _MOVE_PROGRAM = "install the program below /opt, or with pipx install --global"
+_MARK = re.compile("@[A-Z_]+@")
 _PLAIN_PATH = re.compile(r"/[A-Za-z0-9_./+@:,=-]*")
 _SERIAL = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 
@@ -237,22 +238,23 @@ class ServiceStatus:
 PROPERTIES = ("ActiveState", "SubState", "UnitFileState", "MainPID", "NRestarts", "Result", "StatusText")
 
 
-def status(wanted: Plan, *, root: Path = Path("/"), run: Run | None = None) -> ServiceStatus:
-    """How the service stands; needs no rights and no systemd."""
-    unit = root / _PLACES["systemd/controller.service"].relative_to("/")
+def status(*, root: Path = Path("/"), run: Run | None = None) -> ServiceStatus:
+    """How the service stands; needs no rights and no systemd. What was filled in at installing may be anything."""
     differing = []
-    for file in wanted.files:
-        path = root / file.path.relative_to("/")
+    for template, place in _PLACES.items():
+        path = root / place.relative_to("/")
+        wanted = "".join(_without_note(shipped(template).read_text(encoding="utf-8")))
         try:
-            same = path.read_text(encoding="utf-8") == file.content
-        except OSError:
-            same = False
-        if not same:
+            same = re.fullmatch(_MARK.sub(".+", re.escape(wanted)), path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError):
+            same = None
+        if same is None:
             differing.append(path)
     properties: dict[str, str] = {}
     if booted_with_systemd(root):
         text = (run or run_command)(("systemctl", "show", UNIT, "--property=" + ",".join(PROPERTIES)))
         properties = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    unit = root / _PLACES["systemd/controller.service"].relative_to("/")
     return ServiceStatus(unit.exists(), tuple(differing), properties)
 
 

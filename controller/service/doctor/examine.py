@@ -20,6 +20,7 @@ _ALWAYS: dict[str, Check] = {
     "libraries": software.libraries,
     "sqlite": software.sqlite,
     "unit": software.exposure,
+    "service": software.service,
     "disk": host.disk,
     "clock": host.clock,
     "supply": host.supply,

@@ -132,3 +132,20 @@ def exposure(case: Case) -> Finding:
         remedy = "install the service again: sudo controller service install"
         return warning("unit", f"{what} has an exposure of {score}, more than {WORST_EXPOSURE}", remedy)
     return ok("unit", f"{what} has an exposure of {score} of 10, the less the better")
+
+
+def service(case: Case) -> Finding:
+    """The service, where it is installed, is as this version would install it, and has not failed."""
+    found = unit.status(root=case.root, run=case.run)
+    if not found.installed:
+        return ok("service", "not installed")
+    state = found.properties.get("ActiveState", "unknown")
+    restarts = found.properties.get("NRestarts", "0")
+    if state == "failed":
+        why = found.properties.get("Result", "unknown")
+        return warning("service", f"it has failed: {why}, after {restarts} restarts", "see journalctl -u controller")
+    if found.differing:
+        names = ", ".join(path.name for path in found.differing)
+        remedy = "install the service again: sudo controller service install"
+        return warning("service", f"{names}: not as this version installs it", remedy)
+    return ok("service", f"{state}, {restarts} restarts")

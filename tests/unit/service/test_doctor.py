@@ -20,6 +20,7 @@ from controller.config.files import shipped
 from controller.domain import ArmDescription, ArmState, Frame
 from controller.errors import BusError, SorterError
 from controller.ledger.sqlite import SqliteLedger
+from controller.service import unit
 from controller.service.doctor import cell, devices, host, software
 from controller.service.doctor.case import Case, clock_in_step
 from controller.service.doctor.examine import examine, worst
@@ -157,6 +158,25 @@ def test_the_unit_s_exposure(case: Case, said: str, level: Level) -> None:
 
 def test_without_systemd_the_unit_is_not_judged(case: Case) -> None:
     assert "not judged" in software.exposure(case).finding
+
+
+def test_the_service(case: Case) -> None:
+    assert "not installed" in software.service(case).finding
+    (case.root / "run/systemd/system").mkdir(parents=True)
+    answer = "ActiveState=active\nNRestarts=2\nResult=success\n"
+    here = dataclasses.replace(case, run=lambda command: answer)
+    unit.install(unit.plan(Path("/opt/sorter/bin/controller")), root=case.root, run=here.run, uid=0)
+    found = software.service(here)
+    assert _level(found) is Level.OK
+    assert found.finding == "active, 2 restarts"
+    answer = "ActiveState=failed\nNRestarts=5\nResult=watchdog\n"
+    assert _level(software.service(here)) is Level.WARNING
+    assert "watchdog, after 5 restarts" in software.service(here).finding
+    answer = "ActiveState=active\n"
+    (case.root / "etc/modules-load.d/sorter.conf").unlink()
+    found = software.service(here)
+    assert _level(found) is Level.WARNING
+    assert "sorter.conf" in found.finding
 
 
 # --- the computer ------------------------------------------------------------------------------------------

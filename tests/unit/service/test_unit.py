@@ -183,15 +183,23 @@ def test_an_interpreter_the_service_could_not_see_is_refused_too() -> None:
 
 
 def test_the_status_tells_what_is_missing_and_what_was_changed(root: Path) -> None:
-    plan = _plan()
-    found = unit.status(plan, root=root, run=Shell("ActiveState=inactive\nStatusText=a=b\n"))
+    found = unit.status(root=root, run=Shell("ActiveState=inactive\nStatusText=a=b\n"))
     assert (found.installed, found.active, len(found.differing)) == (False, False, 4)
-    unit.install(plan, root=root, run=Shell(), uid=0)
+    unit.install(_plan(), root=root, run=Shell(), uid=0)
     (root / "etc/udev/rules.d/70-sorter.rules").write_text("# mine")
-    found = unit.status(plan, root=root, run=Shell("ActiveState=active\nStatusText=EXECUTE: a=b\n"))
+    found = unit.status(root=root, run=Shell("ActiveState=active\nStatusText=EXECUTE: a=b\n"))
     assert (found.installed, found.active) == (True, True)
     assert [path.name for path in found.differing] == ["70-sorter.rules"]
     assert found.properties["StatusText"] == "EXECUTE: a=b"
+
+
+def test_what_was_chosen_at_installing_is_no_difference(root: Path) -> None:
+    plan = unit.plan(Path("/srv/bin/controller"), Path("/etc/sorter/line-2.toml"), arm_serial="A1", camera_serial="C2")
+    unit.install(plan, root=root, run=Shell(), uid=0)
+    assert unit.status(root=root, run=Shell()).differing == ()
+    path = root / "etc/systemd/system/controller.service"
+    path.write_text(path.read_text().replace("WatchdogSec=10s", "WatchdogSec=0"))
+    assert unit.status(root=root, run=Shell()).differing == (path,)
 
 
 def test_a_command_that_fails_is_named_with_what_it_said() -> None:
