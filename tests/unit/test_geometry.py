@@ -22,6 +22,7 @@ from controller.geometry import (
     wrap,
 )
 
+Vector = tuple[float, float, float]
 # Turns below half a revolution: a Rodrigues vector beyond it names the same rotation by another vector.
 turns = st.tuples(*(st.floats(-1.8, 1.8),) * 3)
 shifts = st.tuples(*(st.floats(-2000.0, 2000.0),) * 3)
@@ -33,11 +34,12 @@ LENS = CameraModel(
 
 
 @given(turns, shifts)
-def test_a_pose_survives_its_vectors_and_its_inverse(turn, shift):
+def test_a_pose_survives_its_vectors_and_its_inverse(turn: Vector, shift: Vector) -> None:
     T = pose_from_rvec(turn, shift)
     assert rigidity_error(T) < 1e-12
     rvec, tvec = rvec_tvec(T)
-    assert np.allclose(rvec, turn, atol=1e-9)
+    # OpenCV's Rodrigues takes turns below a few 1e-7 rad for none: 0.3 um at 1 m.
+    assert np.allclose(rvec, turn, atol=1e-6)
     assert np.allclose(tvec, shift)
     assert np.allclose(invert(T) @ T, np.eye(4), atol=1e-9)
     points = np.array([[1.0, 2.0, 3.0], [-50.0, 7.0, 0.0]])
@@ -46,17 +48,17 @@ def test_a_pose_survives_its_vectors_and_its_inverse(turn, shift):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
-def test_yaw_turns_x_towards_y(yaw, x, y):
+def test_yaw_turns_x_towards_y(yaw: float, x: float, y: float) -> None:
     ahead = transform(pose(x, y, 1.0, yaw=yaw), [1.0, 0.0, 0.0])
     assert np.allclose(ahead, [x + math.cos(yaw), y + math.sin(yaw), 1.0])
 
 
-def test_a_mirror_is_not_rigid():
+def test_a_mirror_is_not_rigid() -> None:
     assert rigidity_error(np.diag([1.0, 1.0, -1.0, 1.0])) > 1.0
 
 
 @given(st.floats(-1e4, 1e4), st.floats(0.1, 10.0))
-def test_wrap_keeps_the_angle_modulo_its_period(angle, period):
+def test_wrap_keeps_the_angle_modulo_its_period(angle: float, period: float) -> None:
     wrapped = wrap(angle, period)
     assert 0.0 <= wrapped < period
     turns_ = (angle - wrapped) / period
@@ -65,7 +67,7 @@ def test_wrap_keeps_the_angle_modulo_its_period(angle, period):
 
 
 @given(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.sampled_from([2 * math.pi, math.pi, math.pi / 3]))
-def test_difference_is_the_short_way_round(a, b, period):
+def test_difference_is_the_short_way_round(a: float, b: float, period: float) -> None:
     difference = angle_difference(a, b, period)
     assert -period / 2 <= difference < period / 2
     gap = wrap(b + difference - a, period)
@@ -73,12 +75,12 @@ def test_difference_is_the_short_way_round(a, b, period):
 
 
 @pytest.mark.parametrize("angle", [-1e-18, -0.0, 0.0, 2 * math.pi, -2 * math.pi])
-def test_wrap_never_returns_its_period(angle):
+def test_wrap_never_returns_its_period(angle: float) -> None:
     assert wrap(angle) == 0.0
 
 
 @given(st.floats(0.0, 1279.0), st.floats(0.0, 719.0), st.floats(100.0, 3000.0))
-def test_a_ray_projects_back_onto_its_pixel(u, v, depth):
+def test_a_ray_projects_back_onto_its_pixel(u: float, v: float, depth: float) -> None:
     ray = LENS.rays([[u, v]])
     assert ray[0, 2] == 1.0
     # The undistortion stops at 1e-10 in normalised coordinates: 1e-7 px; corners of the lens converge slowest.
@@ -88,7 +90,7 @@ def test_a_ray_projects_back_onto_its_pixel(u, v, depth):
 @given(
     st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.floats(-150.0, 150.0), st.floats(-100.0, 100.0), st.floats(0.0, 60.0)
 )
-def test_plane_and_picture_are_one_to_one(tilt, towards, x, y, height):
+def test_plane_and_picture_are_one_to_one(tilt: float, towards: float, x: float, y: float, height: float) -> None:
     lean = pose_from_rvec([tilt * math.cos(towards), tilt * math.sin(towards), 0.0], [0.0, 0.0, 0.0])
     down = pose_from_rvec([math.pi, 0.0, 0.0], [0.0, 0.0, 0.0])
     plane = PlaneMap(LENS, pose(10.0, 20.0, 600.0, yaw=0.7) @ lean @ down).at(height)
@@ -99,7 +101,7 @@ def test_plane_and_picture_are_one_to_one(tilt, towards, x, y, height):
     assert np.allclose(plane.to_plane(pixels), [[x, y]], atol=1e-4)
 
 
-def test_a_ray_that_misses_the_plane_is_nan():
+def test_a_ray_that_misses_the_plane_is_nan() -> None:
     level = PlaneMap(LENS, pose_from_rvec([-math.pi / 2, 0.0, 0.0], [0.0, 0.0, 100.0]))
     above, below = level.to_plane([[640.0, 10.0], [640.0, 710.0]])
     assert np.isnan(above).all()

@@ -30,32 +30,36 @@ def paint(
 ) -> NDArray[np.uint8]:
     """Picture (H, W) of a print on a gray ground, `samples`^2 rays a pixel averaged."""
     width, height = camera.image_size
-    # The plane through the board: normal . ray * depth = normal . origin.
+    picture = np.full((height, width), 128, np.uint8)
+    half = np.array(print_.shape[::-1]) * pixel_mm / 2
+    along = np.linspace(-1.0, 1.0, 9)
+    rim = np.vstack([[[a, b], [b, a]] for a in along for b in (-1.0, 1.0)]) * half
     T = T_camera_board
-    rays = _rays(camera, samples)
-    depth = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2].astype(np.float32))
-    flat = (rays * depth[:, None] - T[:3, 3].astype(np.float32)) @ T[:3, :2].astype(np.float32)
-    where = flat / pixel_mm + (np.array(print_.shape[::-1]) - 1) / 2
-    maps = where.astype(np.float32).reshape(height * samples, width * samples, 2)
+    seen = camera.project(np.column_stack([rim, np.zeros(len(rim))]) @ T[:3, :3].T + T[:3, 3])
+    low = np.maximum(np.floor(seen.min(axis=0)).astype(int) - 3, 0)
+    high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + 4, [width, height])
+    if (high <= low).any():
+        return picture
+    rays = _rays(camera, low, high, samples)
+    # The plane through the board: normal . ray * depth = normal . origin.
+    depth = (T[:3, 2] @ T[:3, 3]).astype(np.float32) / (rays @ T[:3, 2].astype(np.float32))
+    flat = (rays * depth[..., None] - T[:3, 3].astype(np.float32)) @ T[:3, :2].astype(np.float32)
+    maps = (flat / pixel_mm + (np.array(print_.shape[::-1]) - 1) / 2).astype(np.float32)
     fine = cv2.remap(print_, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=(128.0,))
-    coarse = fine.reshape(height, samples, width, samples).mean(axis=(1, 3), dtype=np.float32)
-    return np.asarray(np.rint(coarse), np.uint8)
+    wide, tall = high - low
+    coarse = fine.reshape(tall, samples, wide, samples).mean(axis=(1, 3), dtype=np.float32)
+    picture[low[1] : high[1], low[0] : high[0]] = np.rint(coarse).astype(np.uint8)
+    return picture
 
 
-def _rays(camera: CameraModel, samples: int) -> NDArray[np.float32]:
-    key = (camera.matrix.tobytes(), camera.distortion.tobytes(), samples)
-    if key not in _RAYS:
-        width, height = camera.image_size
-        u = (np.arange(width * samples) + 0.5) / samples - 0.5
-        v = (np.arange(height * samples) + 0.5) / samples - 0.5
-        rays = camera.rays(np.column_stack([np.tile(u, len(v)), np.repeat(v, len(u))]))
-        _RAYS.clear()
-        _RAYS[key] = rays.astype(np.float32)
-    return _RAYS[key]
-
-
-#: The rays of the camera painted last: undoing the lens is most of the work.
-_RAYS: dict[tuple[bytes, bytes, int], NDArray[np.float32]] = {}
+def _rays(
+    camera: CameraModel, low: NDArray[np.intp], high: NDArray[np.intp], samples: int
+) -> NDArray[np.float32]:
+    """Directions (H', W', 3) with z = 1 of a window's samples, interpolated between pixel centres."""
+    u, v = np.meshgrid(np.arange(low[0] - 1, high[0] + 1), np.arange(low[1] - 1, high[1] + 1))
+    rays = camera.rays(np.column_stack([u.ravel(), v.ravel()])).astype(np.float32).reshape(*u.shape, 3)
+    fine = cv2.resize(rays, None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[samples:-samples, samples:-samples], np.float32)
 
 
 class Studio:

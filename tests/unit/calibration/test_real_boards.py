@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import LensModel, calibrate_camera
@@ -12,9 +15,12 @@ from controller.calibration.table import board_pose
 from controller.errors import CalibrationPoorFit
 from controller.geometry import CameraModel
 
+Image = NDArray[np.uint8]
 
-def load(shared, pattern):
-    return [(path.name, cv2.imread(str(path))) for path in sorted((shared / "data").glob(pattern))]
+
+def load(shared: Path, pattern: str) -> list[tuple[str, Image]]:
+    paths = sorted((shared / "data").glob(pattern))
+    return [(path.name, np.asarray(cv2.imread(str(path)), np.uint8)) for path in paths]
 
 
 PUBLISHED = [
@@ -30,35 +36,38 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("pattern", "spec", "model", "rms", "fx", "views"), PUBLISHED)
-def test_published_figures_are_reproduced(shared, pattern, spec, model, rms, fx, views):
+def test_published_figures_are_reproduced(
+    shared: Path, pattern: str, spec: str, model: LensModel, rms: float, fx: float, views: int
+) -> None:
     found = calibrate_camera(load(shared, pattern), parse_board(spec), model=model)
     assert found.rms_px <= rms + 0.02
     assert found.camera.matrix[0, 0] == pytest.approx(fx, rel=0.01)
     assert found.views_used >= views
 
 
-def test_other_sizes_and_cut_boards_are_left_out_with_a_reason(shared):
+def test_other_sizes_and_cut_boards_are_left_out_with_a_reason(shared: Path) -> None:
     pictures = [item for item in load(shared, "udacity_wide/*.jpg")]
     found = calibrate_camera(pictures, parse_board("chessboard:9x6:25"))
     assert found.rms_px <= 0.92
     assert found.camera.matrix[0, 0] == pytest.approx(1159.0, rel=0.01)
     reasons = dict(found.views_rejected)
-    assert "1281x721" in reasons["calibration7.jpg"] and "1281x721" in reasons["calibration15.jpg"]
+    assert "1281x721" in reasons["calibration7.jpg"]
+    assert "1281x721" in reasons["calibration15.jpg"]
     assert found.views_used + len(reasons) == len(pictures)
 
 
-def test_four_views_that_do_not_pin_the_focal_length_are_refused(shared):
+def test_four_views_that_do_not_pin_the_focal_length_are_refused(shared: Path) -> None:
     board = parse_board("charuco:5x7:40:20:DICT_6X6_250:legacy")
     with pytest.raises(CalibrationPoorFit, match="focal length is not pinned"):
         calibrate_camera(load(shared, "opencv_aruco_tutorial/img_*.jpg"), board)
 
 
-def test_the_wrong_board_is_said(shared):
+def test_the_wrong_board_is_said(shared: Path) -> None:
     with pytest.raises(CalibrationPoorFit, match="chessboard:7x5:25"):
         calibrate_camera(load(shared, "boofcv_bumblebee_chess/*.jpg")[:4], parse_board("chessboard:7x5:25"))
 
 
-def test_a_robot_that_carries_the_board_is_seen_where_it_says(shared):
+def test_a_robot_that_carries_the_board_is_seen_where_it_says(shared: Path) -> None:
     """Intrinsics of the source, board pose of each dot grid: its own test asks for less than 0.5 px."""
     camera = CameraModel(np.array([[542.3, 0, 322.2], [0, 543.5, 231.3], [0, 0, 1.0]]), np.zeros(5), (640, 480))
     board = parse_board("circles:10x10:25.4")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,10 @@ from tests.unit.calibration.scene import LENS
 T_TABLE_CAMERA = pose(0.0, 0.0, 600.0) @ pose_from_rvec([math.pi, 0.0, 0.0], [0.0, 0.0, 0.0])
 
 
-def parts(focal=1000.0):
+Parts = tuple[CameraCalibration, TableCalibration, ArmCalibration]
+
+
+def parts(focal: float = 1000.0) -> Parts:
     matrix = LENS.matrix.copy()
     matrix[0, 0] = focal
     raw = {
@@ -48,17 +52,18 @@ def parts(focal=1000.0):
     return camera, table, arm
 
 
-def write_all(folder, focal=1000.0):
+def write_all(folder: Path, focal: float = 1000.0) -> Parts:
     camera, table, arm = parts(focal)
     store.save(folder, camera=camera, table=table, arm=arm, provenance={"made_at": "2026-01-01", "camera": "cam0"})
     return camera, table, arm
 
 
-def test_a_cell_survives_its_folder(tmp_path):
+def test_a_cell_survives_its_folder(tmp_path: Path) -> None:
     camera, table, arm = write_all(tmp_path / "new" / "folder")
     held = store.load(tmp_path / "new" / "folder")
     assert (held.camera.calibration_id, held.table.calibration_id) == (camera.calibration_id, table.calibration_id)
-    assert held.arm is not None and held.arm.to_json() == arm.to_json()
+    assert held.arm is not None
+    assert held.arm.to_json() == arm.to_json()
     assert held.provenance["arm.json"]["made_at"] == "2026-01-01"
     cell = store.load_calibration(tmp_path / "new" / "folder")
     assert cell.joint_offsets == {"waist": 0.0, "shoulder": 0.02}
@@ -67,7 +72,7 @@ def test_a_cell_survives_its_folder(tmp_path):
     assert cell.calibration_id == store.cell_calibration(camera, table, arm).calibration_id
 
 
-def test_the_id_is_of_the_measurement_not_of_the_notes(tmp_path):
+def test_the_id_is_of_the_measurement_not_of_the_notes(tmp_path: Path) -> None:
     write_all(tmp_path / "a")
     camera, table, arm = parts()
     store.save(tmp_path / "b", camera=camera, table=table, arm=arm, provenance={"made_at": "2026-02-02"})
@@ -78,7 +83,7 @@ def test_the_id_is_of_the_measurement_not_of_the_notes(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["camera.json", "table.json"])
-def test_a_swapped_file_is_refused(name, tmp_path):
+def test_a_swapped_file_is_refused(name: str, tmp_path: Path) -> None:
     write_all(tmp_path / "a")
     write_all(tmp_path / "b", focal=1003.0)
     (tmp_path / "a" / name).write_bytes((tmp_path / "b" / name).read_bytes())
@@ -86,7 +91,7 @@ def test_a_swapped_file_is_refused(name, tmp_path):
         store.load(tmp_path / "a")
 
 
-def test_foreign_devices_are_refused(tmp_path):
+def test_foreign_devices_are_refused(tmp_path: Path) -> None:
     write_all(tmp_path)
     held = store.load(tmp_path)
     held.check(arm="reactorx_150", devices={"camera": "cam0"})
@@ -96,7 +101,7 @@ def test_foreign_devices_are_refused(tmp_path):
         held.check(devices={"camera": "cam7"})
 
 
-def test_one_step_back_and_forth(tmp_path):
+def test_one_step_back_and_forth(tmp_path: Path) -> None:
     first, *_ = write_all(tmp_path, focal=1000.0)
     second, *_ = write_all(tmp_path, focal=1010.0)
     assert store.load(tmp_path).camera.calibration_id == second.calibration_id
@@ -106,27 +111,27 @@ def test_one_step_back_and_forth(tmp_path):
     assert store.load(tmp_path).camera.calibration_id == second.calibration_id
 
 
-def test_nothing_to_go_back_to(tmp_path):
+def test_nothing_to_go_back_to(tmp_path: Path) -> None:
     write_all(tmp_path)
     with pytest.raises(CalibrationMissing, match="no earlier"):
         store.restore_previous(tmp_path)
 
 
-def test_a_failed_write_leaves_the_old_file_whole(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     camera, *_ = write_all(tmp_path)
     before = (tmp_path / "camera.json").read_text()
 
-    def broken(descriptor):
+    def broken(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", broken)
+    monkeypatch.setattr("os.fsync", broken)
     with pytest.raises(InputError, match="No space left"):
         store.save(tmp_path, camera=camera)
     assert (tmp_path / "camera.json").read_text() == before
     assert not list(tmp_path.glob(".*.tmp"))
 
 
-def test_what_is_missing_is_named(tmp_path):
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(CalibrationMissing, match="no such calibration folder"):
         store.load(tmp_path / "none")
     camera, table, _ = parts()
@@ -138,15 +143,16 @@ def test_what_is_missing_is_named(tmp_path):
         store.load_calibration(tmp_path)
 
 
-def test_by_ruler_says_that_nothing_vouches_for_it(tmp_path):
+def test_by_ruler_says_that_nothing_vouches_for_it(tmp_path: Path) -> None:
     camera, table, _ = parts()
     store.save_calibration(tmp_path, camera, table, pose(230.0, 0.0, 0.0), arm="reactorx_150")
     held = store.load(tmp_path)
-    assert held.arm is not None and held.arm.points == 0
+    assert held.arm is not None
+    assert held.arm.points == 0
     assert held.cell().joint_offsets == {}
 
 
-def test_hostile_arm_files_are_refused():
+def test_hostile_arm_files_are_refused() -> None:
     _, _, arm = parts()
     good = arm.to_json()
     assert arm_from_json(good, "arm.json").calibration_id == arm.calibration_id
@@ -163,8 +169,9 @@ def test_hostile_arm_files_are_refused():
             arm_from_json({**good, key: value}, "arm.json")
 
 
-def test_parts_are_the_values_they_claim():
+def test_parts_are_the_values_they_claim() -> None:
     camera, table, _ = parts()
-    assert isinstance(camera, CameraCalibration) and isinstance(table, TableCalibration)
+    assert isinstance(camera, CameraCalibration)
+    assert isinstance(table, TableCalibration)
     content = json.loads(json.dumps(camera.to_json()))
     assert files.identity("camera", content) == camera.calibration_id
