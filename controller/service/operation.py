@@ -270,7 +270,10 @@ class Operation(Observer):
         with self._changed:
             self._latched = self._latched or error
             self._pending = Pending.ABORT if self._started else None
+            at_rest = self._state is not None and not self._started
         self.alarm_log.raise_(fault_code(error), error.cause, error.remedy)
+        if at_rest:
+            self._enter(State.FAULT)
 
     # --- inside ---------------------------------------------------------------------------------------
 

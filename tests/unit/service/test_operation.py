@@ -7,12 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from controller.cycle.machine import State
 from controller.cycle.sorter import Sorter
 from controller.errors import SafetyStop, SorterError
 from controller.service.controls import Controls, Refused
 from controller.service.operation import CellFacts, Operation, Work
+from controller.service.packml import PackML
 from controller.service.requests import CHANGING, READING
 
 FACTS = CellFacts("real", "cell.toml", "c0ffee", "cell-1")
@@ -233,3 +236,63 @@ def test_the_end_may_come_from_a_signal_in_the_waiting_thread() -> None:
     operation.ready()
     # As a signal's handler would: in the thread that waits, while it holds the lock.
     assert operation.wait_for_start(operation.end) is False
+
+
+COMMANDS = ("start", "pause", "resume", "stop", "reset", "fault", "rest", "turn", "acknowledge")
+
+
+@given(st.lists(st.sampled_from(COMMANDS), max_size=40))
+def test_whatever_is_asked_nothing_moves_without_a_start_that_was_granted(commands: list[str]) -> None:
+    """Commands come while the cell waits and while it works; a model keeps what must be true."""
+    operation = Operation(FACTS, lambda: ())
+    operation.ready()
+    queue = iter(commands)
+    granted = [0]
+    latched = [False]
+
+    def obey(command: str) -> None:
+        try:
+            if command == "fault":
+                operation.faulted(SafetyStop("stuck"), 0.0)
+                latched[0] = True
+            elif command == "acknowledge":
+                operation.acknowledge(None)
+            else:
+                getattr(operation, command)()
+        except Refused:
+            return
+        if command == "start":
+            assert not latched[0]
+            granted[0] += 1
+        elif command == "reset":
+            latched[0] = False
+
+    class Inline(PretendedWork):
+        """Works through the commands that come while it is at work."""
+
+        def run(self) -> None:
+            # This is where metal would begin to move.
+            assert granted[0] == 1
+            assert not latched[0]
+            operation.entered(State.PICK, 0.0)
+            for command in queue:
+                if command == "rest":
+                    break
+                if command == "fault":
+                    self.fault = SafetyStop("stuck")
+                if command != "turn":
+                    obey(command)
+                if self.told[-1:] == ["stop"] or self.fault is not None:
+                    break
+                assert operation.status().packml in (PackML.EXECUTE, PackML.HOLDING)
+
+    for command in queue:
+        if command not in ("turn", "rest"):
+            obey(command)
+        elif granted[0]:
+            assert operation.wait_for_start(lambda: None)
+            operation.sort(Inline(operation))
+            granted[0] = 0
+        expected = PackML.ABORTED if latched[0] else PackML.STOPPED
+        shown = operation.status().packml
+        assert shown is expected or granted[0]
