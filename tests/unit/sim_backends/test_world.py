@@ -109,6 +109,18 @@ def test_shafts_turn_as_the_servos_are_mounted() -> None:
         assert askew.shaft(joint.servo_id).angle == pytest.approx(expected)
 
 
+def test_a_servo_askew_reads_its_target_while_the_link_stands_beside_it() -> None:
+    askew = world(imperfections=replace(draw("ideal", 0), joint_offsets=(0.02,) * 8))
+    wanted = down(200.0, 0.0, 120.0, 0.0)
+    Rig(askew).move(wanted, 0.8)
+    askew.advance(0.5)
+    for joint, angle in zip(ARM.joints, wanted, strict=True):
+        sign = -1.0 if joint.reverse else 1.0
+        # 400 Nm/rad leave some thousandths of a radian to gravity.
+        assert askew.shaft(joint.servo_id).angle == pytest.approx(sign * angle, abs=0.005)
+    assert askew.joint_angles() == pytest.approx(wanted - 0.02, abs=0.005)
+
+
 def test_a_driven_shaft_reaches_its_target_and_an_idle_one_falls() -> None:
     free = world()
     rig = Rig(free)
