@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, Array, PickPlan
+from controller.domain import Array, ArmDescription, PickPlan, TruePart
 from controller.errors import InputError
 from controller.geometry import CameraModel
-from controller.insight.statistics import Truth
-from controller.ports import Arm, Camera, Clock, Presenter
+from controller.ports import Arm, Camera, Clock, Presenter, Truth
 
 if TYPE_CHECKING:
+    from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
 
 
@@ -195,11 +195,30 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         DynamixelArm(arm, BusStream(bus), cell.clock),
         cell.clock,
         presenter=cell.presenter,
-        truth=Truth(cell.truth, cell.truth_at, lambda: len(cell.collisions)),
+        truth=_CellTruth(cell),
         clear_table=cell.set_aside,
         lay_parts=cell.scatter,
         portrait=cell.overview,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _CellTruth:
+    """The truth of a simulated cell in this process."""
+
+    cell: SimulatedCell
+
+    def now(self) -> Sequence[TruePart]:
+        """Every part as it is now."""
+        return self.cell.truth()
+
+    def at(self, at: float) -> Sequence[TruePart]:
+        """Every part as it was."""
+        return self.cell.truth_at(at)
+
+    def collisions(self) -> int:
+        """Touches so far."""
+        return len(self.cell.collisions)
 
 
 def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions) -> Devices:
@@ -217,7 +236,7 @@ def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions
         DynamixelArm(arm, SerialStream(server.pty), clock),
         clock,
         presenter=presenter,
-        truth=Truth(truth.now, truth.at, truth.collisions),
+        truth=truth,
         clear_table=truth.set_aside,
         lay_parts=truth.scatter,
         portrait=truth.portrait,

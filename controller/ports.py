@@ -5,6 +5,7 @@ A driver and its simulated twin satisfy the same Protocol and the same contract 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,7 @@ from controller.domain import (
     Outcome,
     PickPlan,
     Trajectory,
+    TruePart,
 )
 
 
@@ -230,4 +232,21 @@ class Presenter(Protocol):
 
     def remove(self) -> None:
         """Take the print away."""
+        ...
+
+
+@runtime_checkable
+class Truth(Protocol):
+    """What a simulated world can be asked by whoever judges a run; never by the controller."""
+
+    def now(self) -> Sequence[TruePart]:
+        """Every part as it is now."""
+        ...
+
+    def at(self, at: float) -> Sequence[TruePart]:
+        """Every part as it was at a past time of the cell's clock."""
+        ...
+
+    def collisions(self) -> int:
+        """How often arm or part touched what they should not touch, so far."""
         ...

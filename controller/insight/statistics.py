@@ -17,24 +17,10 @@ from controller.cycle.rig import Look, Observer
 from controller.domain import LocatedObject, Outcome, PickPlan, Result, TruePart
 from controller.errors import SorterError
 from controller.geometry import angle_difference
+from controller.ports import Truth
 
 SAME_PART_MM = 30.0
 """Half of a part and more: a located object belongs to the true part nearest to it within this distance."""
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """What a simulated world can be asked.
-
-    Attributes:
-        now: Every part as it is now.
-        at: Every part as it was at a time of the cell's clock.
-        collisions: Number of touches of arm or part with what they should not touch.
-    """
-
-    now: Callable[[], Sequence[TruePart]]
-    at: Callable[[float], Sequence[TruePart]]
-    collisions: Callable[[], int]
 
 
 @dataclass(frozen=True, slots=True)
