@@ -45,6 +45,7 @@ class Refined:
         chi: Mean squared stray in units of its own deviation: tells rivals apart that both fit.
         seen: ndarray of shape (CHUNKS,), dtype bool: where an edge is to be seen.
         blank: ndarray of shape (CHUNKS,), dtype bool: where inside and outside look the same.
+        faint: ndarray of shape (CHUNKS,), dtype bool: blank, or of far less contrast than the rest.
         strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
         inside_colour: ndarray of shape (3,): mean colour just inside, BGR levels.
     """
@@ -57,6 +58,7 @@ class Refined:
     chi: float
     seen: NDArray[np.bool_]
     blank: NDArray[np.bool_]
+    faint: NDArray[np.bool_]
     strays: Floats
     inside_colour: Floats
 
@@ -444,6 +446,7 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     blank = (state.around * np.sqrt(energy) < 5.0) | (state.around * level < 2.5)
     seen = ~blank & (np.abs(stray) < loose)
     contrast = np.median(state.around, axis=1)
+    faint = blank | (state.around < 0.15 * contrast[:, None])
     out: list[Refined | None] = []
     for i, family in enumerate(batch.families):
         q = _unpad(family, batch.q[i])
@@ -463,7 +466,7 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
         out.append(
             Refined(
                 q, float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level, misfit, chi,
-                seen[i], blank[i], stray[i], state.inner[i],
+                seen[i], blank[i], faint[i], stray[i], state.inner[i],
             )
         )  # fmt: skip
     return out

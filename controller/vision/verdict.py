@@ -348,12 +348,12 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
 
 def _whole(item: _Judged) -> bool:
     """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
-    return item.badness < 0.3 and item.refined.visible > 0.95 and not item.refined.blank.any()
+    return item.badness < 0.3 and item.refined.visible > 0.95 and not item.refined.faint.any()
 
 
 def _merged(scene: Scene, item: _Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.blank.mean()) > 0.1
+    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.faint.mean()) > 0.08
 
 
 def _overlap(a: Floats, b: Floats) -> float:
