@@ -19,7 +19,7 @@ from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
 from sim_backends.world import World
 from sim_backends.world_model import MM, STEP, coupling, half_opening, horn_range, servo_angle
-from tests.unit.sim_backends.rig import ARM, BINS, GRASP_HEIGHT, GRIP_TORQUE, TABLE, Rig, part, world
+from tests.unit.sim_backends.rig import ARM, BINS, GRASP_HEIGHT, GRIP_TORQUE, TABLE, Rig, down, part, world
 
 
 def turn(axis: str, angle: float) -> Array:
