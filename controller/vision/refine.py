@@ -165,6 +165,43 @@ def refine(
         index: Which object of `maps` each outline belongs to.
         blur: Expected blur, px.
     """
+    found = _refine(image, noise, families, qs, maps, index, blur)
+    # Where a whole side was found elsewhere (at a shadow's end, say), start once more from there.
+    again = [i for i, item in enumerate(found) if item is not None and 0.4 < item.visible < 0.95]
+    moved = [_moved(families[i], item) for i in again if (item := found[i]) is not None]
+    second = _refine(image, noise, [families[i] for i in again], moved, maps, [index[i] for i in again], blur)
+    for i, item in zip(again, second, strict=True):
+        first = found[i]
+        if item is not None and first is not None and item.visible > first.visible:
+            found[i] = item
+    return found
+
+
+def _moved(family: Family, item: Refined) -> Floats:
+    """Parameters after the step that the strays of all chunks ask for, which reach further than the fit does."""
+    batch = _batch([family], [item.q], [0], item.blur)
+    points = chunk_middles(family, item.q)
+    dx, dy = (points[None, :, i, None] - batch.q[0, i] for i in (0, 1))
+    _, jacobian = _distance(batch, dx, dy, np.zeros((1, CHUNKS)))
+    rows = jacobian[0, :, :, 0].T
+    use = ~item.blank & (np.abs(item.strays) < 6.0)
+    if use.sum() < CHUNKS // 2:
+        return item.q
+    step = np.linalg.lstsq(rows[use], -item.strays[use], rcond=1e-6)[0]
+    # An edge that lies s away was measured with half of it outside the profile's reach.
+    return _unpad(family, batch.q[0] + 1.5 * step)
+
+
+def _refine(
+    image: NDArray[np.uint8],
+    noise: Floats,
+    families: Sequence[Family],
+    qs: Sequence[Floats],
+    maps: LocalMaps,
+    index: Sequence[int],
+    blur: float,
+) -> list[Refined | None]:
+    """One start of `refine`."""
     if not families:
         return []
     batch = _batch(families, qs, index, blur)
