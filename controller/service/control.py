@@ -63,6 +63,7 @@ LINE_TIMEOUT = 5.0
 REPLY_TIMEOUT = 10.0
 """s after which a command that has not ended is answered with `timeout`."""
 _MAX_UNSENT = 256 * 1024  # bytes of replies that a client may leave unread
+_CLOSE_PATIENCE = 1.0  # s for a command under way at the end: the service manager's patience is for the arm
 _POLL = 0.5  # s between looks at deadlines; also the loop's heartbeat
 
 
@@ -142,7 +143,7 @@ class ControlServer:
         self._ring()
         self._thread.join()
         for worker in (self._changing, self._reading):
-            worker.close(REPLY_TIMEOUT)
+            worker.close(_CLOSE_PATIENCE)
         for client in tuple(self._clients):
             self._drop(client)
         self._selector.close()
