@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def _plate() -> Array:
     pose = np.eye(4)
     pose[:3, :3] = [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
-    pose[:3, 3] = -60.0, 0.0, 52.0
+    pose[:3, 3] = -60.0, 0.0, 62.0
     return pose
 
 

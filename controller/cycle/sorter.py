@@ -246,6 +246,7 @@ class Sorter:
             for thing in located
             if thing.detection.score >= config.vision.minimum_score
             and "cut_by_border" not in thing.detection.flags
+            and not self._book.is_given_up(thing)
             and config.in_work_area(thing.center, self.rig.calibration.T_base_table)
             and self._bin_for(thing) is not None
         ]
@@ -356,7 +357,10 @@ class Sorter:
     def _conclude(self, target: Target, result: Result, reason: str) -> None:
         now = self.rig.clock.now()
         outcome = Outcome(target.located, target.plan, result, reason, target.attempts, target.started_at, now)
-        self._book.close(target)
+        if result in (Result.GRASP_MISSED, Result.SKIPPED):
+            self._book.give_up(target)
+        else:
+            self._book.close(target)
         self._concluded += 1
         self.rig.ledger.conclude(outcome)
         for observer in self.rig.observers:

@@ -48,6 +48,7 @@ class TargetBook:
         self._prefix = prefix
         self._count = 0
         self._open: dict[str, Target] = {}
+        self._given_up: list[LocatedObject] = []
         self._previous: list[tuple[float, float]] = []
 
     @property
@@ -105,6 +106,18 @@ class TargetBook:
     def close(self, target: Target) -> None:
         """Forget a target that has its outcome."""
         del self._open[target.target_id]
+
+    def give_up(self, target: Target) -> None:
+        """Forget a target that lies where it was and is not to be tried again."""
+        self.close(target)
+        self._given_up.append(target.located)
+
+    def is_given_up(self, thing: LocatedObject) -> bool:
+        """Whether an object is one that was given up and still lies there."""
+        return any(
+            thing.shape is old.shape and _same_size(thing, old) and math.dist(thing.center, old.center) <= SAME_PLACE_MM
+            for old in self._given_up
+        )
 
 
 def _same_size(a: LocatedObject, b: LocatedObject) -> bool:

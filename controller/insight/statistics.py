@@ -120,19 +120,28 @@ class Statistics(Observer):
         final = {part.part_id: part for part in self._truth.now()}
         bins = {bin_.name for bin_ in self._config.bins}
         verdicts: Counter[str] = Counter()
+        phantoms: Counter[Result] = Counter()
         for outcome in self.outcomes:
-            if outcome.result is not Result.PLACED:
-                continue
             seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
             part = final[seen.part_id] if seen is not None else None
+            if part is None:
+                phantoms[outcome.result] += 1
+            if outcome.result is not Result.PLACED:
+                continue
             if part is None or part.place not in bins:
                 verdicts["silent"] += 1
             elif part.place == self._config.bin_for(part.shape, str(part.shape), part.size[0]):
                 verdicts["correct"] += 1
             else:
                 verdicts["missorted"] += 1
-        accounted = sum(figures[key] for key in ("sorted", "rejected", "dropped", "indeterminate"))
+        # A target that never was a part is none of the parts, whatever became of the attempt.
+        true_counts = {
+            key: figures[key] - phantoms[Result(key)] for key in ("rejected", "dropped", "indeterminate")
+        }
+        accounted = figures["sorted"] + sum(true_counts.values())
         return {
+            **true_counts,
+            "phantoms": sum(phantoms.values()),
             "parts": len(final),
             "reachable": sum(part.reachable for part in final.values()),
             "left": len(final) - accounted,
