@@ -87,3 +87,11 @@ def local_maps(centers: Floats, reach: Floats, plane: PlaneMap | None) -> LocalM
     coefficients[:, 0] = 0.0
     coefficients /= scale[:, None, None]
     return LocalMaps(centers, plane, reach, coefficients, scale, origin)
+
+
+def joined(a: LocalMaps, b: LocalMaps) -> LocalMaps:
+    """The objects of both, those of `a` first."""
+    pairs = ((a.centers, b.centers), (a.reach, b.reach), (a.coefficients, b.coefficients), (a.scale, b.scale))
+    centers, reach, coefficients, scale = (np.concatenate(pair) for pair in pairs)
+    plane = a.plane if len(a.centers) else b.plane
+    return LocalMaps(centers, plane, reach, coefficients, scale, np.concatenate([a.origin, b.origin]))

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import MutableMapping
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.geometry import PlaneMap
-from controller.vision.background import whiten
-from controller.vision.fitting import fit_all
-from controller.vision.local_map import local_maps
+from controller.vision.background import Whitened, whiten
+from controller.vision.fitting import Hypothesis, fit_all
+from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.proposals import Region, propose, split_necks
 from controller.vision.rays import find_edges, radial_profile
 from controller.vision.recipe import Precise
 from controller.vision.refine import pixel_noise
 from controller.vision.timing import Stopwatch
-from controller.vision.verdict import Found, Scene, judge
+from controller.vision.verdict import Found, Scene, explained, judge, refined_outlines, settled
 
 Floats = NDArray[np.float64]
 
@@ -44,33 +45,55 @@ def search(
     white = whiten(small, empty)
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
-    regions, maps_ = propose(white, settings.level, smallest)
+    regions, strengths = propose(white, settings.level, smallest)
     if trace is not None:
-        trace.update(maps_)
-    pieces = [piece for item in regions if item.cue != "edge" for piece in split_necks(item, smallest)]
+        for name, strength in strengths.items():
+            trace[name] = np.clip(4.0 * strength, 0.0, 255.0).astype(np.uint8)
     if mask is not None:
-        pieces, regions = _within(pieces, np.asarray(mask)), _within(regions, np.asarray(mask))
+        regions = _within(regions, np.asarray(mask))
     sides = plane is not None and plane.height > 0.0
-    regions = _distinct(regions + pieces, small.shape, 0.02 if sides else 0.06)
+    regions = _distinct(regions, small.shape, 0.02 if sides else 0.06)
     watch.lap("propose")
+    noise = pixel_noise(image)
+    image = without_spikes(image, noise)
+    # First what stands out clearly; the costlier guesses only where that left something open.
+    first = [item for item in regions if item.core or (sides and item.cue == "zone")]
+    first, maps, fits = _fits(first, white, factor, plane, watch)
+    scene = Scene(image, noise, white, factor, maps, first, plane, settings)
+    judged = refined_outlines(scene, fits)
+    watch.lap("refine")
+    done = settled(judged)
+    open_ = [item for item in first if item.cue != "zone" and not explained(item, done, factor)]
+    rest = [item for item in regions if item not in first and not explained(item, done, factor)]
+    pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
+    pieces = _distinct([*rest, *pieces], small.shape, 0.02 if sides else 0.06)
+    second, more, fits = _fits([item for item in pieces if not explained(item, done, factor)], white, factor, plane, watch)
+    fits = [[replace(h, region=h.region + len(first)) for h in options] for options in fits]
+    scene = replace(scene, maps=joined(maps, more), regions=[*first, *second])
+    judged += refined_outlines(scene, fits)
+    watch.lap("refine")
+    return judge(scene, judged, watch)
+
+
+def _fits(
+    regions: list[Region], white: Whitened, factor: int, plane: PlaneMap | None, watch: Stopwatch
+) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
+    """The regions that can be measured, their local coordinates, and the fits around each."""
+    if regions:
+        centers = np.array([_center(item.contour) for item in regions])
+        radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+        usable = np.asarray(np.isfinite(radii).all(axis=1))
+        if plane is not None:
+            # Beyond the horizon of the plane there is nothing to measure.
+            usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
+        regions = [item for item, use in zip(regions, usable, strict=True) if use]
+        centers, radii = centers[usable], radii[usable]
     if not regions:
-        return []
-    centers = np.array([_center(item.contour) for item in regions])
-    radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
-    usable = np.asarray(np.isfinite(radii).all(axis=1))
-    if plane is not None:
-        # Beyond the horizon of the plane there is nothing to measure.
-        near = centers * factor + (factor - 1) / 2.0
-        usable &= np.isfinite(plane.to_plane(near)).all(axis=1)
-    regions = [item for item, use in zip(regions, usable, strict=True) if use]
-    if not regions:
-        return []
-    centers, radii = centers[usable], radii[usable]
-    extent = radii.max(axis=1)
+        return [], local_maps(np.empty((0, 2)), np.empty(0), plane), []
     edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
     watch.lap("rays")
     full = centers * factor + (factor - 1) / 2.0
-    maps = local_maps(full, (extent + 6.0) * factor * 1.3, plane)
+    maps = local_maps(full, (radii.max(axis=1) + 6.0) * factor * 1.3, plane)
     count, rays, choices = weight.shape
     flat = edges.reshape(count, rays * choices, 2) * factor + (factor - 1) / 2.0
     local = maps.all_to_local(flat).reshape(count, rays, choices, 2)
@@ -80,11 +103,7 @@ def search(
     ]
     fits = fit_all(hulls, local, weight, factor)
     watch.lap("fit")
-    noise = pixel_noise(image)
-    image = without_spikes(image, noise)
-    scene = Scene(image, noise, white, factor, maps, regions, plane, settings)
-    found = judge(scene, fits, watch)
-    return found
+    return regions, maps, fits
 
 
 def reduction(shape: tuple[int, ...]) -> int:

@@ -96,7 +96,9 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
+class Judged:
+    """A refined outline, px, with its misfit over what is allowed and its area in local units."""
+
     hypothesis: Hypothesis
     refined: Refined
     badness: float
@@ -104,10 +106,25 @@ class _Judged:
     area: float
 
 
-def judge(scene: Scene, fits: list[list[Hypothesis]], watch: Stopwatch) -> list[Found]:
-    """The objects among the fitted outlines."""
-    judged = _refined(scene, fits)
-    watch.lap("refine")
+def settled(judged: Sequence[Judged]) -> list[Floats]:
+    """Outlines that need no further guess: seen completely and fitting well."""
+    return [item.outline for item in judged if _whole(item)]
+
+
+def explained(region: Region, outlines: Sequence[Floats], factor: int) -> bool:
+    """Whether a region is covered by one of these outlines and not much larger than it."""
+    x, y, w, h = (float(v) * factor for v in cv2.boundingRect(region.contour))
+    middle = (x + 0.5 * w, y + 0.5 * h)
+    for outline in outlines:
+        polygon = outline.astype(np.float32)
+        if cv2.pointPolygonTest(polygon, middle, False) > 0.0:
+            size = polygon.max(axis=0) - polygon.min(axis=0)
+            return w * h < 1.6 * float(size[0] * size[1]) + 8.0 * factor * float(size.sum())
+    return False
+
+
+def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
+    """The objects among the refined outlines."""
     accepted = _select(scene, judged)
     found = [_found(scene, item) for item in accepted]
     watch.lap("judge")
@@ -138,10 +155,10 @@ def _part_of(item: Found, outline: Floats) -> bool:
     return small and cv2.pointPolygonTest(polygon, (float(item.center[0]), float(item.center[1])), False) > 0.0
 
 
-def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
+def refined_outlines(scene: Scene, fits: list[list[Hypothesis]]) -> list[Judged]:
     """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
     maps = scene.maps
-    judged: list[_Judged] = []
+    judged: list[Judged] = []
     tried: list[Hypothesis] = []
     blur = 1.0
     for rank in (0, 1):
@@ -163,7 +180,7 @@ def _refined(scene: Scene, fits: list[list[Hypothesis]]) -> list[_Judged]:
     return judged
 
 
-def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[_Judged]:
+def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
     """Hypotheses refined, those with a visible outline."""
     settings, maps = scene.settings, scene.maps
     refined = refine(
@@ -179,7 +196,7 @@ def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[_Judged
             continue
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
-        out.append(_Judged(h, r, r.misfit / allowed, outline, covered))
+        out.append(Judged(h, r, r.misfit / allowed, outline, covered))
     return out
 
 
@@ -188,7 +205,7 @@ def _width(outline: Floats) -> float:
     return float(min(cv2.minAreaRect(outline.astype(np.float32))[1]))
 
 
-def _top_within(scene: Scene, item: _Judged) -> Hypothesis:
+def _top_within(scene: Scene, item: Judged) -> Hypothesis:
     """Where the top face would be if an outline were the silhouette of a part with visible sides."""
     assert scene.plane is not None
     k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q.copy()
@@ -222,7 +239,7 @@ def _same(a: Hypothesis, b: Hypothesis, maps: LocalMaps) -> bool:
     return bool(np.abs(apart).sum() < 0.03 * a.size + 0.5)
 
 
-def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
+def _select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     """The best of what overlaps.
 
     Of nested outlines that fit equally well the outer one is the object and the inner one a hole or a print;
@@ -237,10 +254,10 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
 
     good = [item for item in good if not any(_rival(item, other) for other in good)]
 
-    def rank(item: _Judged) -> float:
+    def rank(item: Judged) -> float:
         return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
 
-    accepted: list[_Judged] = []
+    accepted: list[Judged] = []
     for item in sorted(good, key=lambda j: (rank(j), -j.area)):
         chosen = item
         if scene.sides:
@@ -260,7 +277,7 @@ def _select(scene: Scene, judged: list[_Judged]) -> list[_Judged]:
     return [item for item in accepted if not _strays(scene, item, accepted)]
 
 
-def _without_octagons(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
+def _without_octagons(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines without the circles that an octagon explains better; only circles with some misfit are asked."""
     suspects = [item for item in accepted if item.hypothesis.family is CIRCLE and item.refined.chi > 3.0]
     starts = []
@@ -280,7 +297,7 @@ def _without_octagons(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
     return [item for item in accepted if id(item) not in octagons]
 
 
-def _strays(scene: Scene, item: _Judged, accepted: list[_Judged]) -> bool:
+def _strays(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     """Whether an outline leaves its shape where no neighbour is to blame: a nut with a bolt in it, a torn edge."""
     off = ~item.refined.seen & ~item.refined.blank
     if off.mean() < _TORN:
@@ -295,20 +312,20 @@ def _strays(scene: Scene, item: _Judged, accepted: list[_Judged]) -> bool:
     return sum(alone) > _TORN * len(off)
 
 
-def _rival(item: _Judged, other: _Judged) -> bool:
+def _rival(item: Judged, other: Judged) -> bool:
     """Whether another family explains the same outline better."""
     if other is item or other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
         return False
     return other.refined.chi < item.refined.chi and _overlap(item.outline, other.outline) > 0.85
 
 
-def _table_like(scene: Scene, item: _Judged) -> bool:
+def _table_like(scene: Scene, item: Judged) -> bool:
     """Whether the rim inside an outline looks like the table: a patch of table between objects."""
     strength = np.linalg.norm(scene.strengths(_sampled(item.outline), 0.85), axis=1)
     return float(np.median(strength)) < _TABLE
 
 
-def _shadow_like(scene: Scene, item: _Judged) -> bool:
+def _shadow_like(scene: Scene, item: Judged) -> bool:
     """Whether the rim inside an outline is the table's colour, only darker."""
     rim = np.median(scene.strengths(_sampled(item.outline), 0.85), axis=0)
     table = scene.white.whitener @ scene.white.table_colour
@@ -318,7 +335,7 @@ def _shadow_like(scene: Scene, item: _Judged) -> bool:
     return across < 4.0 + 0.1 * abs(along) and -0.7 * length < along < 0.0
 
 
-def _without_shadows(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
+def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
     dim = [_shadow_like(scene, item) for item in accepted]
     casters = [
@@ -327,7 +344,7 @@ def _without_shadows(scene: Scene, accepted: list[_Judged]) -> list[_Judged]:
         if not shadow and scene.plane is not None
     ]
 
-    def beside(item: _Judged) -> bool:
+    def beside(item: Judged) -> bool:
         points = [(float(x), float(y)) for x, y in _sampled(item.outline)]
         return any(
             np.mean([cv2.pointPolygonTest(caster, point, True) > -4.0 for point in points]) > 0.12 for caster in casters
@@ -346,12 +363,12 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
     return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
 
 
-def _whole(item: _Judged) -> bool:
+def _whole(item: Judged) -> bool:
     """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
     return item.badness < 0.3 and item.refined.visible > 0.95 and not item.refined.faint.any()
 
 
-def _merged(scene: Scene, item: _Judged) -> bool:
+def _merged(scene: Scene, item: Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
     return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.faint.mean()) > 0.08
 
@@ -365,7 +382,7 @@ def _overlap(a: Floats, b: Floats) -> float:
     return float(common) / max(1.0, min(abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))))
 
 
-def _found(scene: Scene, item: _Judged) -> Found:
+def _found(scene: Scene, item: Judged) -> Found:
     k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
     verdict = family.shape
     diameter = None
