@@ -34,8 +34,14 @@ def pose_from_rvec(rvec: ArrayLike, tvec: ArrayLike) -> Array:
 
 def rvec_tvec(transform_: Array) -> tuple[Array, Array]:
     """Rodrigues vector (3,) and translation (3,) of a rigid pose of shape (4, 4)."""
-    rvec = cv2.Rodrigues(np.ascontiguousarray(transform_[:3, :3]))[0]
-    return np.asarray(rvec, np.float64).reshape(3), np.asarray(transform_[:3, 3], np.float64)
+    rotation = np.ascontiguousarray(transform_[:3, :3])
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    if np.abs(skew).max() < 1e-4 and np.trace(rotation) > 0.0:
+        # Rodrigues takes turns below 1e-5 rad for none; here the sine is the angle to 1e-13.
+        rvec = skew / 2.0
+    else:
+        rvec = np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3)
+    return rvec, np.asarray(transform_[:3, 3], np.float64)
 
 
 def invert(transform_: Array) -> Array:

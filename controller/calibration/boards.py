@@ -175,12 +175,17 @@ class Board:
             pixels, ids = _find_charuco(self, gray)
             points = self.corners[ids]
         elif self.kind is BoardKind.OVERFILLED:
-            pixels, cells = grid.find(gray)
+            rough, cells = grid.find(gray)
+            pixels = refine(gray, rough, self.free) if len(rough) else rough
             points = np.column_stack([cells * self.pitch, np.zeros(len(cells))])
             ids = np.arange(len(points))
         else:
             found = _find_chessboard(self, gray) if self.kind is BoardKind.CHESSBOARD else _find_circles(self, gray)
             pixels, ids, points = found, np.arange(len(found)), self.corners
+        # At the border the window around a corner is cut off and shifts it by up to 2 px.
+        size = np.array(gray.shape[::-1])
+        whole = ((pixels > MAX_WINDOW) & (pixels < size - 1 - MAX_WINDOW)).all(axis=1)
+        pixels, ids, points = pixels[whole], ids[whole], points[whole]
         if len(pixels) < MIN_CORNERS:
             raise BoardNotFound(f"only {len(pixels)} corners of {self.spec} seen, {MIN_CORNERS} are needed")
         spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)

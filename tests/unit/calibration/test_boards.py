@@ -63,6 +63,24 @@ def test_part_of_a_charuco_board_is_enough() -> None:
     assert 8 <= len(view.ids) < len(board.corners)
 
 
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.3), (0.5, -0.4, 2.0), (-0.6, 0.3, -1.0)])
+def test_an_overfilled_view_is_indexed_consistently(turn: tuple[float, float, float]) -> None:
+    shown = parse_board("chessboard:29x29:15")
+    T = pose_from_rvec(turn, [10.0, -5.0, 300.0])
+    view = parse_board("chessboard:any:15").find(paint(shown.draw(0.375), 0.375, T, LENS))
+    assert len(view.ids) > 60
+    # Whatever corner is called (0, 0): every found one is one of the print's, and neighbours stay neighbours.
+    truth = LENS.project(transform(T, shown.corners))
+    apart = np.linalg.norm(truth[:, None] - view.image_points[None], axis=2)
+    assert apart.min(axis=0).max() < 0.5
+    matched = shown.corners[apart.argmin(axis=0)]
+    offset = matched - view.object_points
+    turned = [np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), k) for k in range(4)]
+    spread = [np.ptp(matched[:, :2] - view.object_points[:, :2] @ R, axis=0).max() for R in turned]
+    assert min(spread) < 1e-6
+    assert np.ptp(offset[:, 2]) == 0.0
+
+
 def test_what_is_not_there_is_not_found() -> None:
     board = parse_board("chessboard:9x6:20")
     empty = np.full((480, 640), 128, np.uint8)

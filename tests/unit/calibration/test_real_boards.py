@@ -56,6 +56,16 @@ def test_other_sizes_and_cut_boards_are_left_out_with_a_reason(shared: Path) -> 
     assert found.views_used + len(reasons) == len(pictures)
 
 
+def test_boards_that_overfill_the_view_are_indexed_from_what_is_seen(shared: Path) -> None:
+    found = calibrate_camera(load(shared, "sick_metric/camera_*.png"), parse_board("chessboard:any:15.09"))
+    assert found.views_used == 10
+    # About 0.68 px, fx 2328, fy 2330, k1 -0.35 by the source's own calibration.
+    assert found.rms_px <= 0.70
+    assert found.camera.matrix[0, 0] == pytest.approx(2328.0, rel=0.003)
+    assert found.camera.matrix[1, 1] == pytest.approx(2330.0, rel=0.003)
+    assert found.camera.distortion[0] == pytest.approx(-0.35, abs=0.03)
+
+
 def test_four_views_that_do_not_pin_the_focal_length_are_refused(shared: Path) -> None:
     board = parse_board("charuco:5x7:40:20:DICT_6X6_250:legacy")
     with pytest.raises(CalibrationPoorFit, match="focal length is not pinned"):
