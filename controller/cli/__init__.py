@@ -17,10 +17,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def execute(arguments: Sequence[str] | None = None) -> int:
     """Run the program and return its exit code: 0, 1 failed, 2 usage, 75 busy, 78 configuration, 130 Ctrl-C."""
-    from controller.cli.app import app
+    from controller.cli.app import build
 
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        result = app(args=arguments, prog_name="controller", standalone_mode=False)
+        result = build(given)(args=given, prog_name="controller", standalone_mode=False)
     except typer.Exit as stop:
         return stop.exit_code
     except (typer.Abort, KeyboardInterrupt):

@@ -1,22 +1,53 @@
-"""The program's commands, put together."""
+"""The program's commands, put together; only the rooms that a command needs are loaded."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
 from controller import __version__
-from controller.cli import calibrate, config, detect, run
 
-app = typer.Typer(
-    name="controller",
-    help="Sorts what lies on a table: a camera looks, a small arm puts every part into the right bin.",
-    epilog="Start with: controller run --sim",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
+# Which module of this package holds a command, in the order of the help.
+ROOMS = {
+    "run": "run",
+    "detect": "detect",
+    "calibrate": "calibrate",
+    "config": "config",
+    "doctor": "doctor",
+    "status": "control",
+    "start": "control",
+    "pause": "control",
+    "resume": "control",
+    "stop": "control",
+    "reset": "control",
+    "reload": "control",
+    "alarms": "control",
+    "service": "service",
+}
+
+
+def build(arguments: Sequence[str]) -> typer.Typer:
+    """The program, with the command that `arguments` name, or with all when they name none (help, a typo)."""
+    app = typer.Typer(
+        name="controller",
+        help="Sorts what lies on a table: a camera looks, a small arm puts every part into the right bin.",
+        epilog="Start with: controller run --sim",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+    )
+    app.callback()(_options)
+    named = next((argument for argument in arguments if not argument.startswith("-")), "")
+    if named in ROOMS:
+        rooms = [ROOMS[named]]
+    else:
+        rooms = ["control"] if "--version" in arguments else list(dict.fromkeys(ROOMS.values()))
+    for room in rooms:
+        import_module(f"controller.cli.{room}").add_to(app)
+    return app
 
 
 def _version(wanted: bool) -> None:
@@ -25,16 +56,9 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     pass
-
-
-app.command("run")(run.run)
-app.command("detect")(detect.detect)
-app.add_typer(calibrate.app, name="calibrate")
-app.add_typer(config.app, name="config")

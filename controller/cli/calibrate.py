@@ -17,14 +17,14 @@ from controller.cli.output import stdout
 from controller.errors import InputError
 from controller.vision.read import read_image
 
-app = typer.Typer(help="Measure lens and table from pictures of a printed board.", no_args_is_help=True)
+group = typer.Typer(help="Measure lens and table from pictures of a printed board.", no_args_is_help=True)
 
 BoardSpec = Annotated[str, typer.Option(metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the calibration into FILE.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 
 
-@app.command()
+@group.command()
 def camera(
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Views of the board, ten or more.")],
     board: BoardSpec,
@@ -51,7 +51,7 @@ def camera(
     _report(result, out, as_json)
 
 
-@app.command()
+@group.command()
 def table(
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="The board lying on the table, unmoved.")],
     camera: Annotated[Path, typer.Option(metavar="FILE", help="Lens, from `calibrate camera --out`.")],
@@ -80,3 +80,8 @@ def _report(result: dict[str, Any], out: Path | None, as_json: bool) -> None:
     stdout().print(grid)
     if out is not None:
         print(f"written to {out}")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.add_typer(group, name="calibrate")

@@ -19,10 +19,10 @@ from controller.domain import CellCalibration
 from controller.motion.planner import Planner
 from controller.vision.recipe import load_recipe
 
-app = typer.Typer(help="Check, show and explain a cell's configuration.", no_args_is_help=True)
+group = typer.Typer(help="Check, show and explain a cell's configuration.", no_args_is_help=True)
 
 ConfigFile = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file [default: the simulated cell].")
+    Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file (default: the simulated cell).")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
 
@@ -32,7 +32,7 @@ def default_config() -> Path:
     return shipped("sim.toml")
 
 
-@app.command()
+@group.command()
 def check(config: ConfigFile = None, as_json: AsJson = False) -> None:
     """Check a configuration as a whole: keys, ranges, rules, the arm's reach to every bin.
 
@@ -53,7 +53,7 @@ def check(config: ConfigFile = None, as_json: AsJson = False) -> None:
     print(f"{path}: in order: {arm.title}, {len(cell.bins)} bins, {len(cell.sorting.rules)} rules")
 
 
-@app.command()
+@group.command()
 def show(config: ConfigFile = None, as_json: AsJson = False) -> None:
     """Show a configuration with every default filled in.
 
@@ -69,7 +69,7 @@ def show(config: ConfigFile = None, as_json: AsJson = False) -> None:
     stdout().print(table)
 
 
-@app.command()
+@group.command()
 def schema() -> None:
     """Print the JSON Schema of the configuration, for editors that check TOML while you type.
 
@@ -84,3 +84,8 @@ def _flat(value: object, key: str = "") -> list[tuple[str, object]]:
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return [row for i, part in enumerate(value) for row in _flat(part, f"{key}[{i}]")]
     return [(key, value)]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.add_typer(group, name="config")

@@ -19,7 +19,7 @@ STOP_TIMEOUT = 30.0
 
 At = Annotated[
     Path | None,
-    typer.Option("--at", metavar="DIR", help="Folder of the running cell's control socket [default: the service's]."),
+    typer.Option("--at", metavar="DIR", help="Folder of the running cell's control socket (default: the service's)."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 

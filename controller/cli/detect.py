@@ -159,3 +159,8 @@ def _table(result: dict[str, Any]) -> None:
 
 def _pair(values: list[float] | None, digits: int) -> str:
     return "-" if values is None else " ".join(f"{value:.{digits}f}" for value in values)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("detect")(detect)

@@ -24,10 +24,10 @@ _STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
 def doctor(
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help=f"The cell's TOML file [default: {unit.CONFIG}, when it is there]."),
+        typer.Option(metavar="FILE", help=f"The cell's TOML file (default: {unit.CONFIG}, when it is there)."),
     ] = None,
     state: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of ledger and calibration [default: the service's].")
+        Path | None, typer.Option(metavar="DIR", help="Folder of ledger and calibration (default: the service's).")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
@@ -65,3 +65,8 @@ def _table(findings: list[Finding], verdict: Level) -> None:
     counts = {level: sum(finding.level is level for finding in findings) for level in Level}
     bad = f"{counts[Level.FAILED]} failed, {counts[Level.WARNING]} warnings"
     console.print(f"{len(findings)} checks: " + ("all well" if verdict is Level.OK else bad))
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("doctor")(doctor)

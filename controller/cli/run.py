@@ -137,3 +137,8 @@ def _table(figures: dict[str, Any]) -> None:
     if figures.get("correct") is not None:
         console.print(f"{figures['correct']} of {figures['parts']} parts lie in the right bin.")
     console.print(f"Report, pictures and ledger: {figures['out']}")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("run")(run)

@@ -13,20 +13,20 @@ from controller.config.cell import load_cell
 from controller.errors import SorterError
 from controller.service import unit
 
-app = typer.Typer(help="Install, remove and look at the systemd service.", no_args_is_help=True)
+group = typer.Typer(help="Install, remove and look at the systemd service.", no_args_is_help=True)
 
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The cell's TOML file.")]
 ArmSerial = Annotated[
-    str | None, typer.Option(metavar="SERIAL", help="USB serial number of the servo adapter [default: any U2D2].")
+    str | None, typer.Option(metavar="SERIAL", help="USB serial number of the servo adapter (default: any U2D2).")
 ]
 CameraSerial = Annotated[
-    str | None, typer.Option(metavar="SERIAL", help="USB serial number of the camera [default: any USB camera].")
+    str | None, typer.Option(metavar="SERIAL", help="USB serial number of the camera (default: any USB camera).")
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Only print what would be written and run.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 
 
-@app.command()
+@group.command()
 def install(
     config: ConfigFile = unit.CONFIG,
     arm_serial: ArmSerial = None,
@@ -73,7 +73,7 @@ def install(
         print(f"{number}. {step}", file=sys.stderr)
 
 
-@app.command()
+@group.command()
 def uninstall(dry_run: DryRun = False, as_json: AsJson = False) -> None:
     """Stop the service (the arm parks) and take its files away. Ledger, calibration and configuration stay.
 
@@ -94,7 +94,7 @@ def uninstall(dry_run: DryRun = False, as_json: AsJson = False) -> None:
     _print_commands(commands)
 
 
-@app.command()
+@group.command()
 def status(as_json: AsJson = False) -> int:
     """Say whether the service is installed and running; the exit code is 0 only when it runs.
 
@@ -120,3 +120,8 @@ def status(as_json: AsJson = False) -> int:
 def _print_commands(commands: tuple[tuple[str, ...], ...]) -> None:
     for command in commands:
         print(" ".join(command))
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.add_typer(group, name="service")

@@ -47,9 +47,17 @@ class Sorter:
         rig: The cell.
         until_empty: Stop when the table is empty or nothing on it can be picked.
         most_parts: Stop after so many parts were dealt with; None for no limit.
+        filled: Parts in each bin already, by name; counted up as they are placed.
     """
 
-    def __init__(self, rig: Rig, *, until_empty: bool = False, most_parts: int | None = None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        until_empty: bool = False,
+        most_parts: int | None = None,
+        filled: Counter[str] | None = None,
+    ) -> None:
         self.rig = rig
         self.machine = CellMachine()
         self.fault: SorterError | None = None
@@ -58,7 +66,8 @@ class Sorter:
         self._until_empty = until_empty
         self._most_parts = most_parts
         self._book = TargetBook()
-        self._filled: Counter[str] = Counter()
+        self._filled: Counter[str] = Counter() if filled is None else filled
+        self._energised = False
         self._concluded = 0
         self._stop = threading.Event()
         self._pause = threading.Event()
@@ -125,6 +134,7 @@ class Sorter:
 
     def _home(self) -> str:
         state = self.rig.arm.energise()
+        self._energised = True
         self._follow(self.rig.planner.home(state.positions))
         return "homed"
 
@@ -306,13 +316,18 @@ class Sorter:
             if self._holding is not None:
                 self._conclude(self._holding, Result.ABORTED, "stopped while the arm was at work on it")
                 self._holding = None
-            self.rig.arm.clear_stop()
-            report = self.rig.arm.follow(self.rig.planner.park(self.rig.arm.state().positions))
-            if report.finished:
-                self.rig.arm.relax()
+            self._park()
         except SorterError as error:
             return self._latch(error)
         return "stopped"
+
+    def _park(self) -> None:
+        """Bring the arm to rest and let go of the torque; leaves an arm alone that was never energised."""
+        if not self._energised:
+            return
+        self.rig.arm.clear_stop()
+        if self.rig.arm.follow(self.rig.planner.park(self.rig.arm.state().positions)).finished:
+            self.rig.arm.relax()
 
     def _leave_safely(self) -> None:
         """After a fault: park when the arm still answers, else leave it to hold or to its own watchdog."""
@@ -320,10 +335,7 @@ class Sorter:
             self._try_conclude(self._holding, Result.INDETERMINATE, f"fault: {self.fault}")
             self._holding = None
         try:
-            self.rig.arm.clear_stop()
-            state = self.rig.arm.state()
-            if self.rig.arm.follow(self.rig.planner.park(state.positions)).finished:
-                self.rig.arm.relax()
+            self._park()
         except SorterError as error:
             self._try_note("park_failed", reason=str(error))
 

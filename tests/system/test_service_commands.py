@@ -9,17 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from controller.cli.app import app
 from controller.config.files import shipped
 from controller.service import unit
 from controller.service.control import ControlServer
 from tests.system.conftest import Controller
 from tests.unit.service.cell_double import PretendedCell
-
-_OFFERED = {command.name for command in app.registered_commands} | {group.name for group in app.registered_groups}
-pytestmark = pytest.mark.skipif(
-    not {"status", "doctor", "service"} <= _OFFERED, reason="the command line does not offer these commands"
-)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -118,6 +119,7 @@ class Bench(Observer):
         self.on_command: Callable[[dict[str, object]], None] = lambda command: None
         self.confirm: Callable[[PickPlan], bool] = lambda plan: True
         self.most_parts: int | None = None
+        self.filled: Counter[str] = Counter()
         self._width = 0.0
         monkeypatch.setattr(sorter_module, "detect", lambda *args, **kwargs: Detected((), {"total": 0.0}))
         monkeypatch.setattr(sorter_module, "locate", self.locate)
@@ -151,7 +153,7 @@ class Bench(Observer):
             (self,),
             self.confirm,
         )
-        return Sorter(rig, until_empty=True, most_parts=self.most_parts)
+        return Sorter(rig, until_empty=True, most_parts=self.most_parts, filled=self.filled)
 
     def run(self) -> Sorter:
         """Sort until the table is empty."""

@@ -228,3 +228,20 @@ def test_the_same_run_commands_the_same_moves(monkeypatch: pytest.MonkeyPatch) -
         bench.run()
         benches.append(bench)
     benches[1].arm.assert_commands(benches[0].arm.commands)
+
+
+def test_a_stop_before_the_torque_is_on_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.open()
+    sorter = bench.sorter()
+    sorter.request_stop()
+    sorter.run()
+    assert sorter.fault is None
+    assert bench.commands == []
+    assert bench.states == [S.HOMING, S.STOPPED]
+
+
+def test_what_lies_in_a_bin_counts_in_the_next_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.filled["squares"] = bench.config.bins[0].capacity
+    assert bench.run().left == 1
