@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Floats32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
-_SAMPLES = 2500
-"""About how many pixels the polynomial and the covariance are fitted to: enough for 1 % of a standard deviation."""
+_SAMPLES = 1500
+"""About how many pixels the polynomial and the covariance are fitted to: enough for 2 % of a standard deviation."""
 _NOISE_FLOOR = 1.0
 """Smallest standard deviation (levels) believed: compression makes flat blocks that look free of noise."""
 

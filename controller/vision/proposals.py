@@ -52,7 +52,8 @@ def propose(white: Whitened, level: float, smallest: float) -> tuple[list[Region
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
     """
-    strength = np.sqrt(cv2.transform(white.difference**2, np.ones((1, 3), np.float32)))
+    squared = cv2.multiply(white.difference, white.difference)
+    strength = np.asarray(cv2.sqrt(cv2.transform(squared, np.ones((1, 3), np.float32))), np.float32)
     chroma = _chroma(white)
     edges = _edge_energy(white.difference)
     regions: list[Region] = []
@@ -72,14 +73,17 @@ def _chroma(white: Whitened) -> Floats32:
     along = white.whitener @ white.table_colour
     along /= max(float(np.linalg.norm(along)), 1e-9)
     across = np.linalg.svd(along[None])[2][1:]
-    return np.asarray(np.linalg.norm(cv2.transform(white.difference, across.astype(np.float32)), axis=2), np.float32)
+    first, second = (cv2.transform(white.difference, row[None].astype(np.float32)) for row in across)
+    return np.asarray(cv2.magnitude(first, second), np.float32)
 
 
 def _edge_energy(difference: Floats32) -> Floats32:
-    """Magnitude of the whitened gradient over all channels."""
-    dx = cv2.Sobel(difference, cv2.CV_32F, 1, 0, ksize=3)
-    dy = cv2.Sobel(difference, cv2.CV_32F, 0, 1, ksize=3)
-    return np.asarray(np.sqrt(cv2.transform(dx * dx + dy * dy, np.ones((1, 3), np.float32))), np.float32)
+    """Magnitudes of the whitened gradients, summed over the channels."""
+    flat = difference.shape[0], difference.shape[1] * 3
+    dx = cv2.Sobel(difference, cv2.CV_32F, 1, 0, ksize=3).reshape(flat)
+    dy = cv2.Sobel(difference, cv2.CV_32F, 0, 1, ksize=3).reshape(flat)
+    magnitude = np.asarray(cv2.magnitude(dx, dy)).reshape(difference.shape)
+    return np.asarray(cv2.transform(magnitude, np.ones((1, 3), np.float32)), np.float32)
 
 
 def _components(image: Floats32, level: float, smallest: float, cue: str) -> list[Region]:

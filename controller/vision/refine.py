@@ -208,9 +208,9 @@ def _refine(
     size = np.array([math.sqrt(max(float(area(f, q[None])[0]), 1.0)) for f, q in zip(families, qs, strict=True)])
     start = batch.q.copy()
     reach = np.minimum(np.maximum(4.5, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
-    state = _rounds(image, noise, batch, maps, size, reach, 3)
+    _rounds(image, noise, batch, maps, size, reach, 3)
     reach = np.minimum(np.maximum(4.0, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
-    state = _rounds(image, noise, batch, maps, size, reach, 3)
+    state = _rounds(image, noise, batch, maps, size, reach, 2)
     return _verdicts(batch, state, start, size, noise)
 
 

@@ -65,7 +65,7 @@ OCTAGON = _polygon(Shape.OTHER, 8, [0] * 8, [0] * 8)
 FAMILIES: Mapping[Shape, Family] = {family.shape: family for family in (CIRCLE, HEXAGON, RECTANGLE, TRIANGLE)}
 
 
-def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Signed distance of points from outlines, with its derivatives.
 
     Args:
@@ -74,8 +74,7 @@ def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, 
         points: ndarray of shape (K, M, 2), M points for each.
 
     Returns:
-        distance (K, M); jacobian (K, M, P); gap (K, M): how much nearer the nearest side is than the second
-        nearest, a measure of how far from a corner's bisector the point lies (inf for a circle).
+        distance (K, M); jacobian (K, M, P).
     """
     dx = points[..., 0] - q[:, None, 0]
     dy = points[..., 1] - q[:, None, 1]
@@ -84,12 +83,11 @@ def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, 
         radius = np.hypot(dx, dy)
         safe = np.maximum(radius, 1e-9)
         jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = -dx / safe, -dy / safe, -1.0
-        return radius - q[:, None, 2], jacobian, np.full_like(radius, np.inf)
+        return radius - q[:, None, 2], jacobian
     turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
     cos, sin = np.cos(turns), np.sin(turns)
     planes = dx[..., None] * cos[:, None] + dy[..., None] * sin[:, None] - q[:, None, 2 + family.size_of]
     side = planes.argmax(axis=2)
-    two = np.partition(planes, -2, axis=2)[..., -2:]
     rows = np.arange(len(q))[:, None]
     n_x, n_y = cos[rows, side], sin[rows, side]
     if family.moves:
@@ -97,10 +95,10 @@ def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, 
     k, m = np.indices(side.shape, sparse=True)
     jacobian[k, m, 2 + family.size_of[side]] = -1.0
     jacobian[k, m, 2 + family.sizes + family.turn_of[side]] = dy * n_x - dx * n_y
-    return two[..., 1], jacobian, two[..., 1] - two[..., 0]
+    return np.take_along_axis(planes, side[..., None], axis=2)[..., 0], jacobian
 
 
-def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: Floats, rounds: int = 8) -> Floats:
+def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: Floats, rounds: int = 6) -> Floats:
     """Parameters (K, P) after a robust fit to edge points.
 
     Every ray offers several edges; the one nearest to the present outline counts, weighed by Tukey's function
@@ -119,7 +117,7 @@ def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: F
     eye = np.eye(family.parameters)
     for step in range(rounds):
         strength, distance, jacobian = _nearest(family, q, edges, weight)
-        width = np.maximum(scale, 0.25 * size * 0.5**step)
+        width = np.maximum(scale, 0.2 * size * 0.5**step)
         ratio = np.clip(distance / (3.0 * width[:, None]), -1.0, 1.0)
         w = strength * (1.0 - ratio**2) ** 2
         weighted = jacobian * w[..., None]
@@ -142,7 +140,7 @@ def edge_residuals(family: Family, q: Floats, edges: Floats, weight: Floats) -> 
 
 def _nearest(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
     count, rays, choices = weight.shape
-    distance, jacobian, _ = signed_distance(family, q, edges.reshape(count, rays * choices, 2))
+    distance, jacobian = signed_distance(family, q, edges.reshape(count, rays * choices, 2))
     distance = distance.reshape(count, rays, choices)
     cost = np.where(weight > 0.0, np.abs(distance), np.inf)
     best = cost.argmin(axis=2)
