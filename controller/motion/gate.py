@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from controller.domain import ArmDescription, Array, Bin, PickPlan, Trajectory
 from controller.errors import LimitViolation
 from controller.geometry import invert, transform
-from controller.motion.kinematics import chain, points, rotation
+from controller.motion.kinematics import Chain, chain, points, rotation
 
 # Sampling and the moving average may leave a joint this far over its planned limits; the limits themselves
 # are chosen with more in hand.
@@ -152,11 +152,12 @@ class Gate:
                 raise _violation(name, "distance from the camera", float(gap.min()), CAMERA_ROOM, "mm")
         # How deep in the column a point is: the shorter way out, to the side or up. An arm that rests on its
         # column may leave it by any way that does not press it further in.
-        near = COLUMN[0] - np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
-        under = c.axis[1] + COLUMN[1] - arm[..., 2]
-        depth = np.clip(np.minimum(near, under), 0.0, None).max(axis=1)
-        if depth.max() > depth[0] + 1e-6:
-            raise _violation(name, "depth in the arm's own column", float(depth.max()), float(depth[0]), "mm")
+        depth = _column_depth(c, arm)
+        rest = points(self.arm, np.array(self.arm.rest))
+        lying = np.concatenate([rest[1] + (rest[2] - rest[1]) * share, rest[2] + (rest[3] - rest[2]) * share])
+        allowed = max(float(depth[0]), float(_column_depth(c, lying[None])[0]))
+        if depth.max() > allowed + 1e-6:
+            raise _violation(name, "depth in the arm's own column", float(depth.max()), allowed, "mm")
 
     def _jaws(self, name: str, q: Array, tool: Array, opening: float) -> None:
         """Jaw tips against the table and the walls of the bins."""
@@ -188,6 +189,13 @@ class Gate:
             if bad[free:].any() or (np.diff(height[: free + 1]) < -1e-6).any():
                 what, limit = f"height of the jaws at a wall of bin {bin_.name}", bin_.height + WALL_MARGIN
                 raise _violation(name, what, float(height[bad].min()), limit, "mm")
+
+
+def _column_depth(c: Chain, arm: Array) -> Array:
+    """How deep in the column the deepest of the arm's points (N, P, 3) is: ndarray of shape (N,), mm."""
+    near = COLUMN[0] - np.hypot(arm[..., 0] - c.axis[0], arm[..., 1])
+    under = c.axis[1] + COLUMN[1] - arm[..., 2]
+    return np.asarray(np.clip(np.minimum(near, under), 0.0, None).max(axis=1))
 
 
 def _inside(flat: Array, half: Array) -> NDArray[np.bool_]:

@@ -211,9 +211,12 @@ def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, r
         return np.array(found)
     x, y, z = (float(v) for v in np.asarray(position, np.float64))
     place = f"({x:.0f}, {y:.0f}, {z:.0f}) mm pitched {math.degrees(pitch):.0f} deg"
-    known = np.array([q for _, q in solutions(arm, position, pitch, roll, within=False)])
-    if not len(known):
+    all_known = solutions(arm, position, pitch, roll, within=False)
+    if not all_known:
         raise Unreachable(f"{place} is too far from or too near to the shoulder", "move the part")
+    # What keeps the arm from facing the point says more than what keeps it from reaching over its back.
+    facing = all_known[0][0] < BRANCHES // 2
+    known = np.array([q for k, q in all_known if (k < BRANCHES // 2) is facing])
     c = chain(arm)
     worst = known[np.argmin(np.maximum(known - c.high, c.low - known).max(axis=-1))]
     joint = int(np.argmax(np.maximum(worst - c.high, c.low - worst)))

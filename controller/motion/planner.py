@@ -35,6 +35,7 @@ from controller.motion.kinematics import (
 )
 from controller.motion.path import Leg, join, line, speed_limits, stroke
 from controller.motion.trajectory import generate
+from controller.motion.view import hides
 
 # Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
 # come near the table.
@@ -46,6 +47,7 @@ CLEARANCE = 10.0  # mm over walls and parts in transit
 TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
 PART_BELOW_TIPS = grasps.TIP_HEIGHT
 TILT_ROOM = 3.0  # mm that a jaw's corner comes lower at the flattest pitch than pointing down
+CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
 FALL = 8.0  # mm that a part may fall onto what lies in the bin
 MIN_BEND = math.radians(8.0)
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
@@ -106,6 +108,7 @@ class Planner:
         *,
         pile: float | None = None,
         finish: Array | None = None,
+        view: Array | None = None,
     ) -> PickPlan:
         """Everything that moves for one part, approved as a whole.
 
@@ -117,6 +120,9 @@ class Planner:
             start: ndarray of shape (J,): measured joint angles, rad.
             pile: Height over the table of what lies in the bin already, mm; None: unknown, up to the brim.
             finish: ndarray of shape (J,): where the retreat ends, rad; the ready pose when None.
+            view: ndarray of shape (N, 2): outline in `table` (mm) that the camera must see after the retreat.
+                When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
+                sooner than in the ready pose, and as near to the next part.
 
         Raises:
             NoClearGrasp: The jaws have no room, or the part does not suit them.
@@ -128,7 +134,7 @@ class Planner:
         failure: PlanError | None = None
         for choice in choices:
             try:
-                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish)
+                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish, view)
             except (Unreachable, LimitViolation) as error:
                 failure = failure or error
         assert failure is not None
@@ -149,7 +155,7 @@ class Planner:
         goal = np.asarray(goal, np.float64)
         failure: LimitViolation | None = None
         for legs, corners in self._ways(q0, goal):
-            trajectory = self._trajectory(name, legs, corners)
+            trajectory = self._calm(name, legs, corners)
             try:
                 self.gate.check(trajectory, q0)
             except LimitViolation as error:
@@ -279,13 +285,13 @@ class Planner:
         held_yaw = closing_direction(held)
         for roll in self._drop_rolls(drop):
             try:
-                stop = self._stop(drop, over, (roll,))
-                turn = closing_direction(stop.low) - held_yaw
-                shift = (
-                    rest[0] * math.cos(turn) - rest[1] * math.sin(turn),
-                    rest[0] * math.sin(turn) + rest[1] * math.cos(turn),
-                )
-                place = (drop[0] - shift[0], drop[1] - shift[1])
+                place = drop
+                for _ in range(2):
+                    # The part hangs beside the grasp point and turns with the tool, which turns with the waist.
+                    stop = self._stop(place, over, (roll,))
+                    turn = closing_direction(stop.low) - held_yaw
+                    c, s = math.cos(turn), math.sin(turn)
+                    place = (drop[0] - c * rest[0] + s * rest[1], drop[1] - s * rest[0] - c * rest[1])
                 if deep < over:
                     stop = self._stop(place, deep, (roll,))
                 fits = deep < over and self.gate.jaws_inside(bin, stop.low, opening)
@@ -323,6 +329,7 @@ class Planner:
         others: Sequence[LocatedObject],
         pile: float | None,
         finish: Array | None,
+        view: Array | None,
     ) -> PickPlan:
         pick = self._stop(grasp.center, grasp.height, None, grasp.direction)
         rest = (target.center[0] - grasp.center[0], target.center[1] - grasp.center[1])
@@ -340,12 +347,11 @@ class Planner:
             payload=(0.0, self.part_mass),
         )
         goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
-        retreat = self._trajectory(
-            "retreat",
-            [in_, line(self.arm, place.high, goal)],
-            [(place.rise - inside, CORNER)],
-            payload=(self.part_mass, 0.0),
-        )
+        if view is not None and not hides(self.arm, place.high, self._eye, self._flat(view)):
+            goal, legs, corners = place.high, [in_], []
+        else:
+            legs, corners = [in_, line(self.arm, place.high, goal)], [(place.rise - inside, CORNER)]
+        retreat = self._trajectory("retreat", legs, corners, payload=(self.part_mass, 0.0))
         plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
         self.gate.check(carry, pick.low, opening=grasp.opening)
         self.gate.check(retreat, place.low, opening=grasp.opening)
@@ -403,6 +409,17 @@ class Planner:
         path = join(self.arm, legs, corners)
         return generate(self.arm, path, name, speed=self.speed, joint_offsets=self._offsets, payload=payload)
 
+    def _calm(self, name: str, legs: Sequence[Leg], corners: Sequence[tuple[float, float]]) -> Trajectory:
+        """A trajectory slowed so far that the tool, swung out on a stretched arm, keeps its speed limit."""
+        trajectory = self._trajectory(name, legs, corners)
+        way = points(self.arm, trajectory.positions)[:, 3]
+        top = float(np.linalg.norm(np.diff(way, axis=0), axis=1).max(initial=0.0)) / trajectory.period
+        if top <= CALM_SPEED:
+            return trajectory
+        path = join(self.arm, legs, corners)
+        speed = self.speed * CALM_SPEED / top
+        return generate(self.arm, path, name, speed=speed, joint_offsets=self._offsets)
+
     def _waypoints(self, pick: _Stop, place: _Stop, finish: Array) -> tuple[Waypoint, ...]:
         T_table_base = invert(self._T)
         names = ("above part", "part", "above part", "above bin", "bin", "above bin", "finish")
@@ -411,6 +428,10 @@ class Planner:
         return tuple(
             Waypoint(name, (float(p[0]), float(p[1]), float(p[2]))) for name, p in zip(names, way, strict=True)
         )
+
+    def _flat(self, outline: Array) -> Array:
+        """An outline (N, 2) of the table's surface, given in `table`, in `base`."""
+        return transform(self._T, np.column_stack([outline, np.zeros(len(outline))]))[:, :2]
 
     def _wanted(self, measured: Array) -> Array:
         """Joint angles without the calibrated offsets; a hair outside a limit counts as at it.

@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.config.arm import load_arm
+from controller.domain import Array, Bin, LocatedObject, PickPlan, Shape
+from controller.errors import LimitViolation, NoClearGrasp, PlanError, Unreachable
+from controller.geometry import invert, transform
+from controller.motion import kinematics
+from controller.motion.planner import Planner
+from controller.motion.view import hides
+from tests.unit.motion.scene import ARMS, RX150, at, bins, calibration, part, polygon_gap, scatter
+
+BINS = bins()
+PLANNER = Planner(RX150, calibration(), BINS)
+READY = np.array(RX150.ready)
+T_TABLE_BASE = invert(calibration().T_base_table)
+
+
+def tool_way(plan: PickPlan, which: int) -> Array:
+    """The grasp point along one of the moves, in `table`, mm."""
+    way = kinematics.points(RX150, plan.trajectories[which].positions)[:, 3]
+    return transform(T_TABLE_BASE, way)
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 6), where=st.integers(0, 5))
+@settings(max_examples=40, deadline=None)
+def test_a_plan_takes_the_part_and_brings_it_to_its_bin(seed: int, count: int, where: int) -> None:
+    rng = np.random.default_rng(seed)
+    things = scatter(rng, count)
+    box = BINS[where]
+    drop = (box.center[0] + float(rng.uniform(-20, 20)), box.center[1] + float(rng.uniform(-20, 20)))
+    try:
+        plan = PLANNER.plan_pick(things[0], things[1:], box, drop, READY)
+    except NoClearGrasp:
+        return
+    grasp, q = plan.grasp, plan.approach.positions
+    # one move ends where the next begins
+    assert np.abs(q[0] - READY).max() < 1e-9
+    assert np.abs(q[-1] - plan.carry.positions[0]).max() < 1e-6
+    assert np.abs(plan.carry.positions[-1] - plan.retreat.positions[0]).max() < 1e-6
+    assert np.abs(plan.retreat.positions[-1] - READY).max() < 1e-9
+    # at the part
+    foot = tool_way(plan, 0)[-1]
+    assert foot == pytest.approx([*grasp.center, grasp.height], abs=1e-3)
+    turn = (kinematics.closing_direction(q[-1]) - grasp.direction) % math.pi
+    assert min(turn, math.pi - turn) < 1e-6
+    # between the parts the tool moves exactly vertically: 5 mm over the tallest one's height
+    tall = max(thing.height for thing in things)
+    for way, end in ((tool_way(plan, 0), -1), (tool_way(plan, 1), 0)):
+        low = way[:, 2] - RX150.gripper.jaw_depth < tall + 4.0
+        inside = np.hypot(*(way[:, :2] - grasp.center).T) < 150.0
+        assert np.abs(way[low & inside][:, :2] - way[end, :2]).max() < 0.05
+    # the part's own centre comes down over the drop: carried rigidly by the tool
+    before = kinematics.forward(RX150, q[-1])
+    after = kinematics.forward(RX150, plan.carry.positions[-1])
+    base = transform(calibration().T_base_table, [*things[0].center, grasp.height])
+    held = before[:3, :3].T @ (base - before[:3, 3])
+    landed = transform(T_TABLE_BASE, after[:3, :3] @ held + after[:3, 3])
+    assert landed[:2] == pytest.approx(drop, abs=0.05)
+
+
+def test_joint_offsets_are_taken_out_of_the_start_and_put_into_the_goals() -> None:
+    offsets = {"shoulder": 0.03, "elbow": -0.02}
+    planner = Planner(RX150, calibration(offsets), BINS)
+    shift = np.array([0.0, 0.03, -0.02, 0.0, 0.0])
+    thing = part(Shape.SQUARE, 36.0, at(200.0, 10.0))
+    plain = PLANNER.plan_pick(thing, (), BINS[0], BINS[0].center, READY)
+    moved = planner.plan_pick(thing, (), BINS[0], BINS[0].center, READY + shift)
+    assert moved.approach.positions == pytest.approx(plain.approach.positions)
+    for difference in moved.approach.goals - plain.approach.goals:
+        assert difference == pytest.approx(shift)
+
+
+def test_a_turned_table_is_followed() -> None:
+    turned = calibration(yaw=0.2)
+    planner = Planner(RX150, turned, BINS)
+    thing = part(Shape.RECTANGLE, 36.0, (-30.0, 20.0), 0.7)
+    plan = planner.plan_pick(thing, (), BINS[3], BINS[3].center, READY)
+    q = plan.approach.positions[-1]
+    place = transform(turned.T_base_table, [-30.0, 20.0, 19.0])
+    assert kinematics.points(RX150, q)[3] == pytest.approx(place, abs=1e-3)
+    turn = (kinematics.closing_direction(q) - (plan.grasp.direction + 0.2)) % math.pi
+    assert min(turn, math.pi - turn) < 1e-6
+
+
+def test_the_known_pile_decides_how_deep_a_part_is_let_go() -> None:
+    thing = part(Shape.SQUARE, 36.0, at(200.0, 10.0))
+    box = BINS[1]
+    plans = [PLANNER.plan_pick(thing, (), box, box.center, READY, pile=pile) for pile in (0.0, 30.0, None)]
+    heights = [tool_way(plan, 1)[-1, 2] for plan in plans]
+    assert heights[0] < heights[1] <= heights[2]
+    # empty bin: the part, 4 mm below the tips, falls 8 mm
+    assert heights[0] == pytest.approx(15.0 + 4.0 + 8.0, abs=1e-3)
+    # unknown: the jaws stay over the walls
+    assert heights[2] - RX150.gripper.jaw_depth > box.height
+    # beside a wall the opened jaws would not fit: over the walls, though the bin is empty
+    edge = (box.center[0] + 30.0, box.center[1] + 30.0)
+    assert tool_way(PLANNER.plan_pick(thing, (), box, edge, READY, pile=0.0), 1)[-1, 2] - 15.0 > box.height
+
+
+def test_a_part_beyond_the_top_down_reach_is_taken_leaning_out() -> None:
+    plan = PLANNER.plan_pick(part(Shape.SQUARE, 36.0, at(285.0, 0.0)), (), BINS[0], BINS[0].center, READY)
+    pitch = float(plan.approach.positions[-1][1:4].sum())
+    assert math.radians(64.0) < pitch < math.radians(89.0)
+
+
+def test_out_of_reach_and_crowded_have_their_own_errors() -> None:
+    with pytest.raises(Unreachable):
+        PLANNER.plan_pick(part(Shape.SQUARE, 36.0, at(420.0, 0.0)), (), BINS[0], BINS[0].center, READY)
+    with pytest.raises(Unreachable, match="outside bin"):
+        PLANNER.plan_pick(part(Shape.SQUARE, 36.0, at(200.0, 0.0)), (), BINS[0], BINS[1].center, READY)
+    target = part(Shape.SQUARE, 36.0, at(200.0, 0.0))
+    x, y = target.center
+    around = [part(Shape.SQUARE, 36.0, (x + dx, y + dy)) for dx, dy in ((41, 0), (-41, 0), (0, 41), (0, -41))]
+    with pytest.raises(NoClearGrasp):
+        PLANNER.plan_pick(target, around, BINS[0], BINS[0].center, READY)
+
+
+def test_a_start_outside_the_joint_limits_is_refused() -> None:
+    start = READY.copy()
+    start[1] = -2.2
+    with pytest.raises(LimitViolation, match="shoulder stands at -126"):
+        PLANNER.home(start)
+
+
+@pytest.mark.parametrize("name", ["reactorx_150", "widowx_200", "widowx_250", "open_manipulator_x"])
+def test_wherever_a_plan_is_stopped_the_arm_gets_home_and_parks(name: str) -> None:
+    arm = load_arm(name)
+    planner = Planner(arm, calibration(), BINS)
+    rng = np.random.default_rng(4)
+    stops = 0
+    while stops < 12:
+        things = scatter(rng, 3)
+        box = BINS[int(rng.integers(6))]
+        try:
+            plan = planner.plan_pick(things[0], things[1:], box, box.center, np.array(arm.ready), pile=0.0)
+        except NoClearGrasp:
+            continue
+        for trajectory in plan.trajectories:
+            q = trajectory.positions[int(rng.integers(len(trajectory.positions)))]
+            q = q + rng.normal(0.0, 0.005, len(arm.joints))
+            height = kinematics.points(arm, q)[3, 2]
+            for back in (planner.home(q), planner.park(q)):
+                way = kinematics.points(arm, back.positions)[:, 3]
+                # It leaves a low place upwards before it goes anywhere else.
+                low = way[:, 2] < min(60.0, height + 20.0)
+                first = int(np.argmin(low)) if not low.all() else len(low)
+                assert np.linalg.norm(way[:first, :2] - way[0, :2], axis=1).max(initial=0.0) < 40.0
+            stops += 1
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_rest_and_ready_lead_to_each_other(name: str) -> None:
+    arm = load_arm(name)
+    planner = Planner(arm, calibration(), ())
+    down = planner.park(np.array(arm.ready))
+    up = planner.home(np.array(arm.rest))
+    assert down.positions[-1] == pytest.approx(arm.rest)
+    assert up.positions[-1] == pytest.approx(arm.ready)
+
+
+def sector(inner: float, outer: float) -> Array:
+    a = np.radians(np.arange(-50.0, 50.1, 2.5))
+    ring = np.column_stack([np.cos(a), np.sin(a)])
+    return np.vstack([outer * ring, inner * ring[::-1]]) - [230.0, 0.0]
+
+
+def test_ready_hides_nothing_of_the_work_area() -> None:
+    area = sector(125.0, 285.0) + np.array([230.0, 0.0])
+    eye = np.array([230.0, 0.0, 600.0])
+    assert not hides(RX150, READY, eye, area)
+    assert hides(RX150, kinematics.inverse(RX150, (200.0, 0.0, 80.0))[0], eye, area)
+
+
+def test_a_retreat_stays_over_the_bin_when_the_camera_sees_the_parts() -> None:
+    thing = part(Shape.SQUARE, 36.0, at(200.0, 10.0))
+    seen = PLANNER.plan_pick(thing, (), BINS[1], BINS[1].center, READY, view=sector(125.0, 285.0))
+    home = PLANNER.plan_pick(thing, (), BINS[1], BINS[1].center, READY)
+    assert seen.retreat.duration < 0.6 * home.retreat.duration
+    assert np.hypot(*(tool_way(seen, 2)[-1, :2] - BINS[1].center)) < 1e-3
+    everything = np.array([[-400.0, -400.0], [400.0, -400.0], [400.0, 400.0], [-400.0, 400.0]])
+    hidden = PLANNER.plan_pick(thing, (), BINS[1], BINS[1].center, READY, view=everything)
+    assert hidden.retreat.positions[-1] == pytest.approx(READY)
+
+
+def test_bins_and_places_are_judged_before_work_begins() -> None:
+    assert all(PLANNER.bin_error(box) is None for box in BINS)
+    far = Bin("far", at(450.0, 90.0), (90.0, 90.0), 35.0, 6)
+    assert "too far" in str(PLANNER.bin_error(far))
+    assert PLANNER.reach_error(at(200.0, 0.0), 19.0) is None
+    assert PLANNER.reach_error(at(420.0, 0.0), 19.0) is not None
+
+
+def test_slower_means_longer_by_as_much() -> None:
+    thing = part(Shape.SQUARE, 36.0, at(200.0, 10.0))
+    half = Planner(RX150, calibration(), BINS, speed=0.5).plan_pick(thing, (), BINS[0], BINS[0].center, READY)
+    full = PLANNER.plan_pick(thing, (), BINS[0], BINS[0].center, READY)
+    assert half.carry.duration == pytest.approx(2.0 * full.carry.duration, rel=0.05)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_open_jaws_clear_every_neighbour_all_the_way_down(seed: int) -> None:
+    """The open jaws of the sampled approach, wherever they are lower than a neighbour, are beside it."""
+    things: list[LocatedObject] = scatter(np.random.default_rng(seed), 7)
+    try:
+        plan = PLANNER.plan_pick(things[0], things[1:], BINS[0], BINS[0].center, READY)
+    except PlanError:
+        return
+    thickness, across = RX150.gripper.jaw_size
+    near, far = plan.grasp.opening / 2.0, plan.grasp.opening / 2.0 + thickness
+    for q in plan.approach.positions:
+        tool = kinematics.forward(RX150, q)
+        for sign in (1.0, -1.0):
+            around = ((near, -1), (far, -1), (far, 1), (near, 1))
+            corners = np.array([[15.0, sign * a, b * across / 2] for a, b in around])
+            tips = transform(T_TABLE_BASE @ tool, corners)
+            for other in things[1:]:
+                if tips[:, 2].min() < other.height + 1.0:
+                    flat = tips[:, :2] if sign > 0 else tips[::-1, :2]
+                    assert polygon_gap(flat, other.footprint) > 1.0
