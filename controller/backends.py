@@ -110,8 +110,8 @@ Factory = Callable[[CellConfig, ArmDescription, BackendOptions], Devices]
 
 
 def nominal_camera(config: CellConfig) -> tuple[CameraModel, Array]:
-    """Lens and pose by data sheet and ruler: straight above the table's origin, the picture's long side along
-    the table's y axis (its left edge towards +y). Good to some centimetres only.
+    """Lens and pose by data sheet and ruler: looking straight down, the picture's long side along the table's y
+    axis (its left edge towards +y). Good to some centimetres only.
 
     Returns:
         The lens; `T_table_camera`, shape (4, 4), mm.
@@ -120,7 +120,7 @@ def nominal_camera(config: CellConfig) -> tuple[CameraModel, Array]:
     focal = width / 2 / math.tan(math.radians(config.camera.field_of_view_deg) / 2)
     matrix = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
     looking_down = np.array([[0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    looking_down[2, 3] = config.camera.height_mm
+    looking_down[:3, 3] = *config.camera.above_mm, config.camera.height_mm
     return CameraModel(matrix, np.zeros(5), (width, height)), looking_down
 
 
@@ -262,9 +262,10 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         seed=options.seed,
         level=str(options.level),
         heights={part.shape: part.height_mm for part in config.parts},
+        # The controller knows its own place to some mm and a degree: what lies on the rim may be out for it.
         work_area=WorkArea(
-            radius=(area.inner_radius_mm, area.outer_radius_mm),
-            azimuth=(math.radians(area.azimuth_deg[0]), math.radians(area.azimuth_deg[1])),
+            radius=(area.inner_radius_mm + 4.0, area.outer_radius_mm - 4.0),
+            azimuth=(math.radians(area.azimuth_deg[0] + 2.0), math.radians(area.azimuth_deg[1] - 2.0)),
         ),
     )
 

@@ -41,6 +41,8 @@ class CameraSection(StrictModel):
     """Horizontal field of view by the data sheet: only used before the camera is calibrated."""
     height_mm: float = Field(600.0, ge=50.0, le=5000.0)
     """Height of the lens above the table, by ruler: only used before the camera is calibrated."""
+    above_mm: tuple[float, float] = (0.0, 0.0)
+    """Point of `table` below the lens, by ruler: only used before the camera is calibrated."""
     frame_timeout_s: float = Field(2.0, gt=0.05, le=30.0)
     """How long to wait for a fresh frame before it is a fault."""
     settings: dict[str, float] = Field(default_factory=dict)
