@@ -26,6 +26,14 @@ MIN_POINTS = 20
 _TURNS = (0.0, 1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2)
 
 
+#: Shapes that the other sides determine when one is left out.
+_KNOWN_WITHOUT_A_SIDE = (Shape.SQUARE, Shape.HEXAGON)
+#: How far outside such a side may lie, px: the width of a side face and its shadow.
+_LARGEST_STRAY = 8.0
+#: What a side left out adds to the deviation of the centre, as a share of how far it lies outside.
+_LEFT_OUT_DOUBT = 0.1
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """When a fit is refused.
@@ -105,14 +113,16 @@ def _locate_one(
     if reason:
         return reason
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
+    size = bounding_size(detection.shape, fit.dimensions)
+    doubt = _LEFT_OUT_DOUBT * fit.stray * size[0] / max(detection.size_px)
     return LocatedObject(
         detection=detection,
         center=fit.center,
         yaw=fit.yaw,
-        size=bounding_size(detection.shape, fit.dimensions),
+        size=size,
         height=fit.height,
         footprint=footprint(detection.shape, fit.center, fit.yaw, fit.dimensions),
-        sigma=math.sqrt(spread + calibration.sigma**2),
+        sigma=math.sqrt(spread + calibration.sigma**2 + doubt**2),
         calibration_id=calibration.calibration_id,
     )
 
@@ -192,12 +202,33 @@ def _fit(
                 return fit
             best = fit if best is None else min(best, fit, key=lambda one: one.cost)
     assert best is not None
+    if shape in _KNOWN_WITHOUT_A_SIDE:
+        return _without_a_side(silhouette, detection.shape, best, height, noise, limits) or best
     return best
+
+
+def _without_a_side(
+    silhouette: Silhouette, shape: Shape, fit: PrismFit, height: float, noise: Noise, limits: Limits
+) -> PrismFit | None:
+    """The prism that all sides but one agree on, when that one lies a little outside of it.
+
+    A dark side face and the shadow at its foot look alike: vision may take one for the other.
+    """
+    found: PrismFit | None = None
+    for edge in np.unique(fit.edges[fit.used]):
+        kept = fit.edges != edge
+        start = (*fit.center, fit.yaw or 0.0)
+        other = silhouette.fit(shape, start, fit.dimensions, height, noise, kept=kept)
+        fair = 0.0 < other.stray <= _LARGEST_STRAY and _objection(other, limits) is None
+        if fair and (found is None or other.cost < found.cost):
+            found = other
+    return found
 
 
 def _objection(fit: PrismFit, limits: Limits) -> str | None:
     """Why a fit is not good enough, or None."""
-    distances = np.abs(fit.residuals)
+    distances = np.abs(fit.residuals[fit.kept])
+    edges, used = fit.edges[fit.kept], fit.used[fit.kept]
     share = float((distances <= limits.inlier).mean())
     if share < limits.share:
         return f"its outline is not this shape: {share:.0%} of it within {limits.inlier:g} px of the fit"
@@ -206,8 +237,8 @@ def _objection(fit: PrismFit, limits: Limits) -> str | None:
     else:
         medians = [
             float(np.median(distances[mine]))
-            for edge in np.unique(fit.edges[fit.used])
-            if (mine := fit.used & (fit.edges == edge)).sum() >= 5
+            for edge in np.unique(edges[used])
+            if (mine := used & (edges == edge)).sum() >= 5
         ]
         worst = max(medians, default=math.inf)
     if worst > limits.edge:

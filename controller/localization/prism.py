@@ -67,6 +67,7 @@ class PrismFit:
         residuals: ndarray of shape (N,), px, outwards positive, of all outline points.
         edges: ndarray of shape (N,): the silhouette edge each point belongs to.
         used: ndarray of shape (N,), bool: points away from corners, which the fit rests on.
+        kept: ndarray of shape (N,), bool: points that were not left out beforehand.
     """
 
     center: tuple[float, float]
@@ -77,11 +78,17 @@ class PrismFit:
     residuals: Array
     edges: NDArray[np.int64]
     used: NDArray[np.bool_]
+    kept: NDArray[np.bool_]
 
     @property
     def cost(self) -> float:
         """Mean of min(|r|, 2 px) over all points: bounded, so that starts can be compared."""
         return float(np.minimum(np.abs(self.residuals), 2.0).mean())
+
+    @property
+    def stray(self) -> float:
+        """Median distance of the points left out, px, outwards positive; 0 when there are none."""
+        return 0.0 if self.kept.all() else float(np.median(self.residuals[~self.kept]))
 
 
 def unit_footprint(shape: Shape) -> Array:
@@ -147,8 +154,13 @@ class Silhouette:
         height: float,
         noise: Noise,
         visible: Visible = Visible.WHOLE,
+        kept: NDArray[np.bool_] | None = None,
     ) -> PrismFit:
-        """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior."""
+        """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior.
+
+        Points outside `kept` take no part.
+        """
+        mask = np.ones(len(self.points), bool) if kept is None else kept
         model = _Model(shape, self._R, self._t, self._local, self._origin, visible)
         parameters = np.array([*start, *dimensions, height])
         free = np.ones(len(parameters), bool)
@@ -156,7 +168,7 @@ class Silhouette:
         last = np.inf
         for _ in range(_ROUNDS):
             residuals, jacobian, edges, used = model.compare(self.points, parameters)
-            weights = _weights(residuals, edges, used, noise, shape)
+            weights = _weights(residuals, edges, used & mask, noise, shape)
             rows = jacobian[:, free] * weights[:, None]
             normal = rows.T @ rows
             right = rows.T @ (weights * residuals)
@@ -173,7 +185,7 @@ class Silhouette:
                 break
             last = float(np.abs(step).max())
         residuals, jacobian, edges, used = model.compare(self.points, parameters)
-        weights = _weights(residuals, edges, used, noise, shape)
+        weights = _weights(residuals, edges, used & mask, noise, shape)
         rows = jacobian[:, free] * weights[:, None]
         normal = rows.T @ rows
         normal[-1, -1] += 1.0 / noise.height**2
@@ -191,7 +203,8 @@ class Silhouette:
             covariance,
             residuals,
             edges,
-            used,
+            used & mask,
+            mask,
         )
 
 
