@@ -1,7 +1,8 @@
 """Which object is which from one look to the next, so that a part retried twice is still one part.
 
-The camera gives places, not identities. A target keeps its id as long as an object of the same shape and
-size lies where it was last known to be, or, after it was lost on the way, turns up where nothing lay before.
+The camera gives places, not identities. Whatever lies where a target was last known to be is that target, and so
+is an object of its shape and size a little further, where a missed grasp may have pushed it. After it was lost on
+the way, it may turn up wherever nothing lay before.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from dataclasses import dataclass
 
 from controller.domain import LocatedObject, PickPlan
 
+VERY_PLACE_MM = 15.0
+"""Nearer than half of the narrowest part (34 mm) there is room for one part only, whatever it was taken for."""
 SAME_PLACE_MM = 25.0
 """A missed grasp pushes a part by less than half of the narrowest part (34 mm wide) plus the jaw's stroke."""
 SAME_SIZE_MM = 3.0
@@ -81,9 +84,9 @@ class TargetBook:
         best, best_distance = None, math.inf
         for index in free:
             thing = seen[index]
-            if thing.shape is not target.located.shape or not _same_size(thing, target.located):
-                continue
             distance = math.dist(thing.center, target.located.center)
+            if distance > VERY_PLACE_MM and not _alike(thing, target.located):
+                continue
             if distance > SAME_PLACE_MM:
                 newcomer = all(math.dist(thing.center, old) > SAME_PLACE_MM for old in self._previous)
                 if not (target.lost and newcomer):
@@ -114,11 +117,12 @@ class TargetBook:
 
     def is_given_up(self, thing: LocatedObject) -> bool:
         """Whether an object is one that was given up and still lies there."""
-        return any(
-            thing.shape is old.shape and _same_size(thing, old) and math.dist(thing.center, old.center) <= SAME_PLACE_MM
-            for old in self._given_up
-        )
+        for old in self._given_up:
+            distance = math.dist(thing.center, old.center)
+            if distance <= VERY_PLACE_MM or (distance <= SAME_PLACE_MM and _alike(thing, old)):
+                return True
+        return False
 
 
-def _same_size(a: LocatedObject, b: LocatedObject) -> bool:
-    return all(abs(x - y) <= SAME_SIZE_MM for x, y in zip(a.size, b.size, strict=True))
+def _alike(a: LocatedObject, b: LocatedObject) -> bool:
+    return a.shape is b.shape and all(abs(x - y) <= SAME_SIZE_MM for x, y in zip(a.size, b.size, strict=True))

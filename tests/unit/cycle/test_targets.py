@@ -32,8 +32,16 @@ def test_a_nudged_part_keeps_its_target() -> None:
     assert target.started_at == 1.0
 
 
-def test_another_shape_or_size_in_its_place_is_not_the_target() -> None:
-    for other in (thing(0, 0, Shape.CIRCLE), thing(0, 0, size=45.0)):
+def test_what_lies_in_its_very_place_is_the_target_whatever_it_looks_like() -> None:
+    book = TargetBook()
+    book.choose(thing(0, 0), 1.0).attempts = 1
+    named, gone = book.identify([thing(5, 5, Shape.OTHER, size=47.0)])
+    assert named[0].target_id == "t1"
+    assert gone == []
+
+
+def test_another_shape_or_size_beside_its_place_is_not_the_target() -> None:
+    for other in (thing(20, 0, Shape.CIRCLE), thing(20, 0, size=45.0)):
         book = TargetBook()
         book.choose(thing(0, 0), 1.0).attempts = 1
         named, gone = book.identify([other])
@@ -74,3 +82,12 @@ def test_a_closed_target_is_forgotten() -> None:
     assert book.open == ()
     again = book.choose(dataclasses.replace(thing(0, 0), target_id=target.target_id), 2.0)
     assert again.target_id == "t2"
+
+
+def test_what_was_given_up_is_known_again_where_it_lies() -> None:
+    book = TargetBook()
+    book.give_up(book.choose(thing(0, 0), 1.0))
+    assert book.is_given_up(thing(3, 3, Shape.OTHER))
+    assert book.is_given_up(thing(20, 0))
+    assert not book.is_given_up(thing(20, 0, Shape.CIRCLE))
+    assert not book.is_given_up(thing(60, 0))
