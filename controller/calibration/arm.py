@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import files
+from controller.calibration.marker import ArmMarker
 from controller.errors import InputError
 
 Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ class ArmCalibration:
         singular_values: Of the scaled normal equations, largest first: a tiny last one is a direction
             that the poses do not determine.
         sigma: Standard deviations of the offsets (rad) and of the base (`x`, `y`, `z` mm, `yaw` rad).
+        places: Where the grasp point was at those poses, (x, y, z) in `table`, mm.
     """
 
     calibration_id: str
@@ -62,6 +64,7 @@ class ArmCalibration:
     points: int
     singular_values: tuple[float, ...] = ()
     sigma: Mapping[str, float] = field(default_factory=dict)
+    places: tuple[tuple[float, float, float], ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of its file, and of `calibrate arm` apart from the time it took."""
@@ -69,9 +72,10 @@ class ArmCalibration:
 
 
 def by_ruler(T_base_table: Array, camera_id: str, table_id: str, arm: str) -> ArmCalibration:
-    """An arm that was placed by ruler and never looked at: zero offsets, zero points."""
+    """An arm that was placed by ruler and never looked at: zero offsets, the marker by its drawing, zero points."""
     none = Residual(0.0, 0.0, 0.0)
-    return named(ArmCalibration("", camera_id, table_id, arm, T_base_table, {}, np.eye(4), none, 0))
+    mount = ArmMarker().T_tool_marker
+    return named(ArmCalibration("", camera_id, table_id, arm, T_base_table, {}, mount, none, 0))
 
 
 def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
@@ -89,6 +93,10 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
     singular = content.get("singular_values", [])
     if not isinstance(singular, list):
         raise InputError(f"{where}: singular_values is not a list", "make the file again")
+    listed = content.get("places", [])
+    if not isinstance(listed, list):
+        raise InputError(f"{where}: places is not a list", "make the file again")
+    places = files.numbers(content, "places", (len(listed), 3), where=where) if listed else np.empty((0, 3))
     partial = ArmCalibration(
         "",
         str(content.get("camera_id", "")),
@@ -101,6 +109,7 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
         int(files.number(content, "points", where=where)),
         tuple(float(v) for v in files.numbers(content, "singular_values", (len(singular),), where=where)),
         {str(name): files.number(sigma, name, where=f"{where}: sigma") for name in sigma},
+        tuple((float(x), float(y), float(z)) for x, y, z in places),
     )
     stated = content.get("calibration_id")
     return named(partial, stated if isinstance(stated, str) else None)
@@ -123,6 +132,7 @@ def _content(calibration: ArmCalibration) -> dict[str, Any]:
             "T_tool_marker": calibration.T_tool_marker,
             "singular_values": list(calibration.singular_values),
             "sigma": dict(calibration.sigma),
+            "places": [list(place) for place in calibration.places],
             "arm": calibration.arm,
             "camera_id": calibration.camera_id,
             "table_id": calibration.table_id,

@@ -92,6 +92,7 @@ def fit_arm(
             len(encoders),
             tuple(float(value) for value in singular),
             spread | {"yaw": float(deviation[2])},
+            tuple((float(x), float(y), float(z)) for x, y, z in view.tools(found, encoders)),
         )
     )
 

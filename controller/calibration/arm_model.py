@@ -81,6 +81,11 @@ class MarkerView:
         chain = invert(self.T_table_camera) @ unknowns.T_table_base @ chain
         return np.asarray(np.einsum("nij,kj->nki", chain[:, :3, :3], self.marker.corners) + chain[:, None, :3, 3])
 
+    def tools(self, unknowns: Unknowns, encoders: Array) -> Array:
+        """Grasp points (N, 3) in `table`, mm, for encoder angles (N, J)."""
+        chain = unknowns.T_table_base @ forward(self.arm, encoders - unknowns.offsets)
+        return np.asarray(chain[:, :3, 3])
+
     def predict(self, parameters: Array, encoders: Array) -> Array:
         """Corners (N, 8) in the picture, px, x and y in turn."""
         points = self.in_camera(self.unknowns(parameters), encoders)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration.arm_model import MarkerView
+from controller.calibration.arm_model import MarkerView, Unknowns
 from controller.errors import Unreachable
 from controller.geometry import invert
 from controller.motion import kinematics
@@ -134,13 +134,12 @@ def _candidates(view: MarkerView, clearance: float, azimuth: float, random: np.r
     q = q[((q > limits[:, 0] + _LIMIT_MARGIN) & (q < limits[:, 1] - _LIMIT_MARGIN)).all(axis=1)]
     q = q[np.abs(q[:, 0]) <= azimuth]
     q = q[lowest(view, q) >= clearance]
-    q = q[_visible(view, q)]
+    q = q[visible(view, q, view.unknowns(np.zeros(len(view.prior))))]
     return q[random.permutation(len(q))[:_KEPT]]
 
 
-def _visible(view: MarkerView, q: Array) -> NDArray[np.bool_]:
+def visible(view: MarkerView, q: Array, unknowns: Unknowns) -> NDArray[np.bool_]:
     """Which joint angles (N, J) show the whole marker, well turned and not behind the arm."""
-    unknowns = view.unknowns(np.zeros(len(view.prior)))
     corners = view.in_camera(unknowns, q)
     centre = corners.mean(axis=1)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])

@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controller.calibration.marker import ArmMarker
-from controller.domain import ArmDescription
+from controller.domain import ArmDescription, ArmState, Frame
 from controller.geometry import CameraModel, invert, pose
+from tests.unit.calibration.scene import paint
 
 Array = NDArray[np.float64]
 
@@ -78,3 +80,34 @@ class Metal:
         T = invert(self.T_table_camera) @ self.tool(encoders) @ self.T_tool_marker
         points = self.marker.corners @ T[:3, :3].T + T[:3, 3]
         return self.camera.project(points) + self.random.normal(0.0, self.pixel, (4, 2))
+
+
+class Cell:
+    """An arm, a camera and a clock: the marker is painted where the true arm carries it."""
+
+    def __init__(self, m: Metal) -> None:
+        self.description = m.arm
+        self.m, self.q, self.time, self.frames = m, np.asarray(m.arm.ready), 0.0, 0
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        marker = cv2.aruco.generateImageMarker(dictionary, 0, 240)
+        self.print = np.asarray(np.pad(marker, 40, constant_values=255), np.uint8)
+
+    def state(self) -> ArmState:
+        return ArmState(self.time, self.q, np.zeros(5), 40.0, 0.0)
+
+    def move_to(self, q: Array) -> None:
+        self.q = q
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+    def capture(self, after: float, timeout: float = 2.0) -> Frame:
+        self.frames += 1
+        # The print's y runs down and its z away from the reader; the marker's the other way.
+        over = np.diag([1.0, -1.0, -1.0, 1.0])
+        T = invert(self.m.T_table_camera) @ self.m.tool(self.q) @ self.m.T_tool_marker @ over
+        gray = paint(self.print, 0.125, T, self.m.camera, samples=3)
+        return Frame(self.frames, after, np.repeat(gray[..., None], 3, axis=2))

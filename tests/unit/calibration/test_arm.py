@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -18,12 +17,11 @@ from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.config.arm import load_arm
-from controller.domain import ArmState, Frame
 from controller.errors import CalibrationPoorFit, Unreachable
 from controller.geometry import invert, pose, pose_from_rvec, transform
 from controller.motion import kinematics
-from tests.unit.calibration.metal import Metal, chain_forward, small
-from tests.unit.calibration.scene import LENS, paint
+from tests.unit.calibration.metal import Cell, Metal, chain_forward, small
+from tests.unit.calibration.scene import LENS
 
 Array = NDArray[np.float64]
 ARM = load_arm("reactorx_150")
@@ -170,38 +168,6 @@ def test_an_arm_out_of_view_is_said() -> None:
     far = MarkerView(ARM, ArmMarker(), LENS, m.T_table_camera, pose(2000.0, 0.0, 0.0))
     with pytest.raises(Unreachable, match="show the marker"):
         choose(far, 20, clearance=CLEARANCE)
-
-
-class Cell:
-    """An arm, a camera and a clock: the marker is painted where the true arm carries it."""
-
-    description = ARM
-
-    def __init__(self, m: Metal) -> None:
-        self.m, self.q, self.time, self.frames = m, np.asarray(ARM.ready), 0.0, 0
-        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-        marker = cv2.aruco.generateImageMarker(dictionary, 0, 240)
-        self.print = np.asarray(np.pad(marker, 40, constant_values=255), np.uint8)
-
-    def state(self) -> ArmState:
-        return ArmState(self.time, self.q, np.zeros(5), 40.0, 0.0)
-
-    def move_to(self, q: Array) -> None:
-        self.q = q
-
-    def now(self) -> float:
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        self.time += seconds
-
-    def capture(self, after: float, timeout: float = 2.0) -> Frame:
-        self.frames += 1
-        # The print's y runs down and its z away from the reader; the marker's the other way.
-        over = np.diag([1.0, -1.0, -1.0, 1.0])
-        T = invert(self.m.T_table_camera) @ self.m.tool(self.q) @ self.m.T_tool_marker @ over
-        gray = paint(self.print, 0.125, T, LENS, samples=3)
-        return Frame(self.frames, after, np.repeat(gray[..., None], 3, axis=2))
 
 
 def test_the_procedure_looks_and_finds() -> None:

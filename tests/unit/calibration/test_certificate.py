@@ -1,0 +1,107 @@
+"""The certificate says what a touch would miss by, at places no fit has seen."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from controller.calibration.arm import ArmCalibration, by_ruler
+from controller.calibration.arm_fit import Observation, fit_arm
+from controller.calibration.arm_model import MarkerView
+from controller.calibration.arm_poses import choose
+from controller.calibration.camera import CameraCalibration
+from controller.calibration.certificate import APART, Certificate, check_arm
+from controller.calibration.marker import ArmMarker
+from controller.calibration.table import TableCalibration
+from controller.config.arm import load_arm
+from controller.errors import Unreachable
+from controller.geometry import pose, pose_from_rvec
+from tests.unit.calibration.metal import Cell, Metal, small
+from tests.unit.calibration.scene import LENS
+
+Array = NDArray[np.float64]
+ARM = load_arm("reactorx_150")
+ABOVE = pose(0.0, 0.0, 600.0, yaw=math.pi / 2) @ pose_from_rvec([math.pi, 0.0, 0.0], [0.0, 0.0, 0.0])
+LENS_KNOWN = CameraCalibration("camera-x", LENS, 0.1, 20)
+
+
+def metal(seed: int) -> Metal:
+    return Metal(ARM, LENS, ABOVE @ small(np.random.default_rng(seed), 15.0, 3.0), seed=seed)
+
+
+def calibrated(m: Metal) -> ArmCalibration:
+    view = MarkerView(ARM, ArmMarker(), LENS, m.T_table_camera, m.nominal)
+    return fit_arm(view, [Observation(q, m.corners(q)) for q in choose(view, 20, clearance=45.0)])
+
+
+def check(m: Metal, calibration: ArmCalibration, **options: Any) -> tuple[Certificate, Array]:
+    """The certificate, and by how much (N, 2) the arm truly missed, its play drawn anew."""
+    # Only the methods that the procedure calls are there.
+    cell: Any = Cell(m)
+    offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in ARM.joint_names])
+    missed: list[Array] = []
+    table = TableCalibration("table-x", "camera-x", m.T_table_camera, 0.1, 0.1, 10)
+    found = check_arm(
+        cell,
+        cell,
+        cell,
+        lambda q: cell.move_to(q + offsets),
+        lens=LENS_KNOWN,
+        table=table,
+        calibration=calibration,
+        T_base_table=m.nominal,
+        arrived=lambda place: missed.append(m.tool(cell.q)[:2, 3] - place[:2]),
+        **options,
+    )
+    return found, np.array(missed)
+
+
+def test_a_calibrated_arm_gets_a_good_one_and_an_uncalibrated_a_poor_one() -> None:
+    m = metal(1)
+    arm = calibrated(m)
+    found, missed = check(m, arm, seed=7, points=12)
+    true = np.linalg.norm(missed, axis=1)
+    assert found.verdict == "good"
+    assert len(found.places) >= 10
+    # Play of 0.3 degrees in every joint, drawn once for the look and once for the truth: 0.5 mm each.
+    assert abs(found.touch_mm.mean - true.mean()) < 0.4
+    assert found.before_mm.mean > 2 * found.touch_mm.mean
+    raw, raw_missed = check(m, by_ruler(m.nominal, "", "", ARM.name), seed=7, points=12)
+    assert raw.verdict == "poor"
+    # The marker's mount by its drawing is off by up to 2 mm an axis: so is what its look says of a touch.
+    assert raw.touch_mm.mean > 1.5
+    assert np.linalg.norm(raw_missed, axis=1).mean() > 1.5
+
+
+def test_places_are_fresh_spread_and_repeatable() -> None:
+    m = metal(2)
+    arm = calibrated(m)
+    one, _ = check(m, arm, seed=3, points=9)
+    two, _ = check(m, arm, seed=3, points=9)
+    other, _ = check(m, arm, seed=4, points=9)
+    assert np.allclose(one.places, two.places)
+    assert not np.allclose(one.places[0], other.places[0])
+    fitted = np.array(arm.places)
+    assert len(fitted) == arm.points
+    for x, y in one.places:
+        assert np.linalg.norm(fitted - [x, y, 40.0], axis=1).min() > APART - 0.5
+    assert np.ptp(one.places[:, 1]) > 150.0  # the whole sector, not one side of it
+
+
+def test_its_json_is_the_contracts() -> None:
+    m = metal(3)
+    found, _ = check(m, calibrated(m), seed=1, points=6)
+    content = found.to_json()
+    assert {"touch_mm", "before_mm", "points", "verdict", "calibration_id"} <= set(content)
+    assert set(content["touch_mm"]) == {"mean", "p95", "max"}
+    assert len(content["places_mm"]) == len(content["errors_mm"]) == content["points"]
+
+
+def test_a_work_area_out_of_reach_is_said() -> None:
+    m = metal(1)
+    with pytest.raises(Unreachable, match="places can be reached"):
+        check(m, calibrated(m), seed=1, points=6, radius=(600.0, 700.0))
