@@ -120,6 +120,7 @@ def zero_crossings(image: Image, sigma: float = 2.0, threshold: float | None = N
     kernel -= kernel.mean()
     response = cv2.filter2D(image.astype(np.float64), cv2.CV_64F, kernel, borderType=cv2.BORDER_REPLICATE)
     limit = 0.75 * float(np.abs(response).mean()) if threshold is None else threshold
+    limit = max(limit, 1e-6)  # rounding, on a picture of one level
     out = np.zeros(image.shape, np.uint8)
     for a, b, at in (
         (response[:, :-1], response[:, 1:], (slice(None), slice(0, -1))),

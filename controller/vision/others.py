@@ -75,7 +75,11 @@ def other_objects(
     merged: set[int] = set()
     for outline, sharp, (_, pieces) in sorted(zip(outlines, seen, kept, strict=True), key=lambda item: -item[1].mean()):
         polygon = outline.astype(np.float32)
-        share = float(sharp.mean())
+        # Where the picture ends there is no edge to be seen.
+        height, width = image.shape[:2]
+        end = 3.0 * factor
+        within = (outline > end).all(axis=1) & (outline[:, 0] < width - end) & (outline[:, 1] < height - end)
+        share = float(sharp[within].mean()) if within.sum() > _POINTS // 3 else 0.0
         if pieces:
             # What sticks out beyond known shapes must be sharp by itself: a shadow is not.
             free = _away(outline, [known[i] for i in pieces])

@@ -481,7 +481,12 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     level = math.sqrt(float(noise.trace()) / 3.0)
     energy = np.einsum("kcd,kcd->kc", state.free * state.lines[..., None], state.unlit**2)
     blank = (state.around * np.sqrt(energy) < 5.0) | (state.around * level < 2.5)
-    seen = ~blank & (np.abs(stray) < loose)
+    # Inside its rim an object has one colour; where it has not, the outline cuts across something.
+    deep = state.free * (state.unlit < 0.05)
+    count = np.maximum(deep.sum(axis=2), 1e-9)
+    inside = np.abs(np.sum(deep * state.value, axis=2) / count)
+    foreign = inside > 0.4 * np.abs(state.around) + 4.0 / np.sqrt(count * state.lines)
+    seen = ~blank & ~foreign & (np.abs(stray) < loose)
     contrast = np.median(state.around, axis=1)
     faint = blank | (state.around < 0.15 * contrast[:, None])
     out: list[Refined | None] = []
