@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Observer
-from controller.domain import Array, ArmDescription, PickPlan, TruePart
+from controller.domain import ArmDescription, Array, PickPlan, TruePart
 from controller.errors import InputError
 from controller.geometry import CameraModel
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
@@ -55,6 +55,7 @@ class BackendOptions:
         seed: Seed of the simulated world.
         level: Imperfections of the simulated world.
         real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
+        watch_clock: Wraps the clock of real devices, for whoever watches that the cell makes progress.
     """
 
     out: Path
@@ -63,6 +64,7 @@ class BackendOptions:
     seed: int = 0
     level: Level = Level.DYNAMIC
     real_time: bool = False
+    watch_clock: Callable[[Clock], Clock] = lambda clock: clock
 
 
 @dataclass(slots=True)
@@ -127,12 +129,11 @@ def nominal_camera(config: CellConfig) -> tuple[CameraModel, Array]:
 def real_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
     """Webcam, servo bus and the machine's own clock."""
     from drivers.arm.dynamixel import DynamixelArm
-    from drivers.camera.v4l2 import V4l2Camera
-
     from drivers.arm.serial_stream import SerialStream
+    from drivers.camera.v4l2 import V4l2Camera
     from drivers.clock import MonotonicClock
 
-    clock = MonotonicClock()
+    clock = options.watch_clock(MonotonicClock())
     camera = V4l2Camera(
         config.camera.device,
         clock,

@@ -48,6 +48,7 @@ class Sorter:
         until_empty: Stop when the table is empty or nothing on it can be picked.
         most_parts: Stop after so many parts were dealt with; None for no limit.
         filled: Parts in each bin already, by name; counted up as they are placed.
+        target_prefix: Makes the ids of this sorter's targets unique within a run of the ledger.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Sorter:
         until_empty: bool = False,
         most_parts: int | None = None,
         filled: Counter[str] | None = None,
+        target_prefix: str = "t",
     ) -> None:
         self.rig = rig
         self.machine = CellMachine()
@@ -65,7 +67,7 @@ class Sorter:
         self.cycle_times: list[float] = []
         self._until_empty = until_empty
         self._most_parts = most_parts
-        self._book = TargetBook()
+        self._book = TargetBook(target_prefix)
         self._filled: Counter[str] = Counter() if filled is None else filled
         self._energised = False
         self._concluded = 0

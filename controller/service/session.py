@@ -7,10 +7,12 @@ devices and calibration are, and whatever happens the devices are released and t
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import threading
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from time import monotonic
@@ -27,7 +29,7 @@ from controller.cycle.preflight import check
 from controller.cycle.rig import Observer, Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import ArmDescription, CellCalibration, PickPlan
-from controller.errors import CalibrationMissing
+from controller.errors import CalibrationMissing, SafetyStop
 from controller.insight.report import annotated, page, side_by_side
 from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
@@ -35,7 +37,11 @@ from controller.motion.planner import Planner
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.service.self_calibration import calibrate_cell
+from controller.service.standing_service import Service
 from controller.vision.recipe import load_recipe
+
+_UNCLEAN_RUNS = 3
+"""Runs cut off in a row (killed, or without power) after which somebody must look before the next start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +74,15 @@ class Session:
             cycle = options.config.cycle.model_copy(update={"picks_per_look": 100})
             self._config = options.config.model_copy(update={"cycle": cycle})
         self._stop = threading.Event()
-        self._sorter: Sorter | None = None
+        self._end: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
         """End the run soon: the arm slows down along its path, parks, and lets go of the torque."""
         self._stop.set()
-        if self._sorter is not None:
-            self._sorter.request_stop()
+        self._end()
 
     def run(self) -> dict[str, Any]:
-        """Sort, and say how it went.
+        """Sort, and say how it went; on a real cell, sort whenever an operator starts it, until it is to end.
 
         Returns:
             The figures of the contract of `controller run --json`.
@@ -94,13 +99,13 @@ class Session:
         if self.options.mode is not Mode.REAL or self.options.out is not None:
             folder = new_run_folder(self.options.out, datetime.now())
         with InstanceLock(folder), contextlib.ExitStack() as stack:
-            devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder))
+            service = Service.standing_by(self._config, stack) if self.options.mode is Mode.REAL else None
+            devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder, service))
             stack.callback(devices.close)
             devices.open()
-            calibration, calibration_s = self._calibrated(devices, arm, folder)
+            calibration, calibration_s = self._calibrated(devices, folder)
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
-            statistics = Statistics(self._config, devices.truth)
-            album = Album(devices.portrait)
+            statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
             rig = Rig(
                 self._config,
                 devices.camera,
@@ -113,8 +118,6 @@ class Session:
                 observers=(*devices.observers, statistics, album, *self.options.observers),
                 confirm=self.options.confirm,
             )
-            if not self._started():
-                return {}
             ledger.begin_run(
                 software_version=__version__,
                 config_hash=self._config.digest,
@@ -123,14 +126,11 @@ class Session:
                 arm=arm.name,
                 seed=self.options.seed if self.options.mode is Mode.SIM else None,
             )
-            most = self.options.parts if self.options.mode is Mode.REAL else None
-            self._sorter = Sorter(rig, until_empty=self.options.mode is not Mode.REAL, most_parts=most)
-            if self._stop.is_set():
-                self._sorter.request_stop()
             began, began_wall = devices.clock.now(), monotonic()
-            self._sorter.run()
-            ledger.end_run(f"fault: {self._sorter.fault}" if self._sorter.fault else "stopped")
-            report = self._head(arm) | statistics.summary(self._sorter.left, self._sorter.cycle_times)
+            sorter = self._operate(rig, service, ledger) if service is not None else self._sort(rig)
+            ledger.end_run(f"fault: {sorter.fault}" if sorter and sorter.fault else "stopped")
+            report = self._head(arm)
+            report |= statistics.summary(sorter.left if sorter else 0, sorter.cycle_times if sorter else [])
             report |= {
                 "calibration_s": round(calibration_s, 3),
                 "sim_s": round(devices.clock.now() - began, 3),
@@ -138,9 +138,46 @@ class Session:
                 "out": str(folder),
             }
             self._write(folder, report, album)
-            if self._sorter.fault is not None:
-                raise self._sorter.fault
+            if sorter is not None and sorter.fault is not None:
+                raise sorter.fault
             return report
+
+    # --- at work --------------------------------------------------------------------------------------
+
+    def _sort(self, rig: Rig) -> Sorter:
+        """Sort once, until nothing is left to pick."""
+        sorter = Sorter(rig, until_empty=True)
+        self._end = sorter.request_stop
+        if self._stop.is_set():
+            sorter.request_stop()
+        sorter.run()
+        return sorter
+
+    def _operate(self, rig: Rig, service: Service, ledger: SqliteLedger) -> Sorter | None:
+        """Sort whenever an operator starts the cell, until it is to end; the last sorter, if there was one."""
+        operation = service.operation(self._config, rig.calibration.calibration_id)
+        self._end = operation.end
+        if self._stop.is_set():
+            operation.end()
+        rig = replace(rig, observers=(*rig.observers, operation))
+        sorter: Sorter | None = None
+        filled: Counter[str] = Counter()
+        starts = itertools.count(1)
+        with service.open_to_operators(operation):
+            operation.ready(fault=_safe_mode(ledger), may_hold_part=bool(ledger.indeterminate))
+            service.notifier.ready("STOPPED: controller start begins to sort")
+            if self.options.start:
+                operation.start()
+            else:
+                self.options.say("STOPPED: everything is ready and nothing moves; controller start begins to sort")
+            while operation.wait_for_start(service.cycle.progress):
+                prefix = f"start{next(starts)}-t"
+                sorter = Sorter(rig, most_parts=self.options.parts, filled=filled, target_prefix=prefix)
+                operation.sort(sorter)
+                if self.options.parts is not None or (self.options.start and sorter.fault is not None):
+                    break
+            service.notifier.stopping("parked")
+        return sorter
 
     # --- parts of a run -------------------------------------------------------------------------------
 
@@ -150,9 +187,10 @@ class Session:
             head |= {"level": str(self.options.level), "seed": self.options.seed}
         return head
 
-    def _backend_options(self, folder: Path) -> BackendOptions:
+    def _backend_options(self, folder: Path, service: Service | None) -> BackendOptions:
         return BackendOptions(
             out=folder,
+            watch_clock=service.watch if service is not None else lambda clock: clock,
             replay=self.options.replay,
             parts=8 if self.options.parts is None else self.options.parts,
             seed=self.options.seed,
@@ -168,7 +206,7 @@ class Session:
         camera, T_table_camera = nominal_camera(self._config)
         return CellCalibration("by ruler", camera, T_table_camera, self._config.table.T_base_table())
 
-    def _calibrated(self, devices: Devices, arm: ArmDescription, folder: Path) -> tuple[CellCalibration, float]:
+    def _calibrated(self, devices: Devices, folder: Path) -> tuple[CellCalibration, float]:
         """The calibration to work with, and how long its making took (s of the cell's clock)."""
         given = self.options.calibration
         if given is not None:
@@ -190,14 +228,6 @@ class Session:
             f"no calibration in {stored}", "make one with controller calibrate, or name one with --calibration"
         )
 
-    def _started(self) -> bool:
-        """Whether the operator wants motion; a real cell waits here, STOPPED, until he stops it."""
-        if self.options.mode is not Mode.REAL or self.options.start:
-            return True
-        self.options.say("STOPPED: everything is ready and nothing moves; run with --start to sort")
-        self._stop.wait()
-        return False
-
     def _write(self, folder: Path, report: dict[str, Any], album: Album) -> None:
         pictures = {}
         for name, look in (("before", album.first), ("after", album.last)):
@@ -209,3 +239,12 @@ class Session:
             cv2.imwrite(str(folder / f"{name}.png"), picture)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
+
+
+def _safe_mode(ledger: SqliteLedger) -> SafetyStop | None:
+    """Why the cell must be looked at before it may start, after it was cut off too often; or None."""
+    if ledger.unclean_runs < _UNCLEAN_RUNS:
+        return None
+    return SafetyStop(
+        f"the last {ledger.unclean_runs} runs were cut off", "find out why, then controller reset and start"
+    )

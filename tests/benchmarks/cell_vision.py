@@ -123,9 +123,8 @@ def main() -> None:
             arguments.save.mkdir(parents=True, exist_ok=True)
             picture = annotate(seen.frame.image, seen.detected.detections, located=seen.located.objects)
             cv2.imwrite(str(arguments.save / f"{seed}.png"), picture)
-    print(json.dumps(totals | {
-        "position_mm": _spread(errors), "angle_deg": _spread(angles), "size_mm": _spread(sizes), "time_ms": _spread(times)
-    }))  # fmt: skip
+    spreads = {"position_mm": errors, "angle_deg": angles, "size_mm": sizes, "time_ms": times}
+    print(json.dumps(totals | {name: _spread(values) for name, values in spreads.items()}))
 
 
 def _angle(part: TruePart, yaw: float | None) -> list[float]:
