@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-
 from pydantic import Field, model_validator
 
 from controller.config.loader import StrictModel, load_toml
