@@ -29,6 +29,8 @@ _OUTLINE_STEP = 2.0  # mm between the points an obstacle is made of; below MIN_C
 _CIRCLE_DIRECTIONS = 12
 # Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle turned by more is
 # squeezed out (physics study of 12 picks a cell, friction 0.3 to 0.8).
+_OBLIQUE_TURN = math.radians(15.0)
+_OBLIQUE_QUALITY = 0.4
 _TRIANGLE_TURN = math.radians(20.0)
 
 
@@ -71,6 +73,20 @@ def sides(part: LocatedObject) -> tuple[Side, ...]:
     else:
         offers = [(yaw + quarter, 1.0 if part.shape is Shape.RECTANGLE else 0.7), (yaw, 0.6)]
     return tuple(Side(direction % math.pi, quality) for direction, quality in offers)
+
+
+def oblique_sides(part: LocatedObject) -> tuple[Side, ...]:
+    """Directions a little off the flats, for when no flat is free: the closing jaws turn the part flush.
+
+    Empty for a triangle, which may be squeezed out, and for what has no flats.
+    """
+    if part.shape not in (Shape.SQUARE, Shape.RECTANGLE, Shape.HEXAGON):
+        return ()
+    return tuple(
+        Side((side.direction + turn) % math.pi, _OBLIQUE_QUALITY)
+        for side in sides(part)
+        for turn in (-_OBLIQUE_TURN, _OBLIQUE_TURN)
+    )
 
 
 def fixed_side(part: LocatedObject, direction: float) -> Side | None:

@@ -216,7 +216,17 @@ class Planner:
             offers = (side,)
         within = gripper.opening[1] / 2.0 + sum(gripper.jaw_size) + grasps.ENOUGH_CLEARANCE + max(target.size)
         blocked = grasps.obstacles(others, self.bins, target.center, within)
-        return grasps.choose(target, offers, gripper, blocked)
+        try:
+            return grasps.choose(target, offers, gripper, blocked)
+        except NoClearGrasp:
+            oblique = grasps.oblique_sides(target) if len(self.arm.joints) > 4 else ()
+            if not oblique:
+                raise
+            try:
+                return grasps.choose(target, oblique, gripper, blocked)
+            except NoClearGrasp:
+                pass
+            raise
 
     def _stop(self, point: Point, height: float, rolls: Sequence[float] | None, direction: float = 0.0) -> _Stop:
         """The pose at a place of `table` from above and the one `LIFT` over it or higher.

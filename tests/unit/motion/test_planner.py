@@ -122,6 +122,15 @@ def test_out_of_reach_and_crowded_have_their_own_errors() -> None:
         PLANNER.plan_pick(target, around, BINS[0], BINS[0].center, READY)
 
 
+def test_a_part_with_no_flat_free_is_taken_a_little_askew() -> None:
+    target = part(Shape.SQUARE, 34.0, at(200.0, 0.0))
+    x, y = target.center
+    # Small posts before the middle of every side: the jaws pass beside them only when turned.
+    posts = [part(Shape.CIRCLE, 6.0, (x + dx, y + dy)) for dx, dy in ((28, 9), (-28, -9), (9, -28), (-9, 28))]
+    plan = PLANNER.plan_pick(target, posts, BINS[0], BINS[0].center, READY)
+    assert math.degrees(plan.grasp.direction) % 90.0 == pytest.approx(75.0)
+
+
 def test_a_start_outside_the_joint_limits_is_refused() -> None:
     start = READY.copy()
     start[1] = -2.2

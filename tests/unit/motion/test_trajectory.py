@@ -132,10 +132,10 @@ def test_as_fast_as_toppra_without_jerk_limit() -> None:
         path = descent(RX150, start, float(rng.uniform(160, 250)), float(rng.uniform(-0.8, 0.8)), 0.3)
         knots = np.linspace(0.0, path.length, 200)
         spline = toppra.SplineInterpolator(knots, path.spline(knots))
-        limits = (
+        limits = [
             toppra.constraint.JointVelocityConstraint(speed_limits(RX150)),
             toppra.constraint.JointAccelerationConstraint(acceleration_limits(RX150)),
-        )
+        ]
         peer = toppra.algorithm.TOPPRA(limits, spline, parametrizer="ParametrizeConstAccel").compute_trajectory()
         own = fastest(path, speed_limits(RX150), acceleration_limits(RX150)).times[-1]
         ratios.append(own / peer.duration)
