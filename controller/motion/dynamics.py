@@ -11,7 +11,6 @@ Control, chapter 7.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -154,8 +153,3 @@ def holding_torque(arm: ArmDescription, q: Array, payload: float = 0.0) -> Array
     """Torque that holds the arm still: ndarray of shape (J,), Nm."""
     still = np.zeros((1, len(q)))
     return np.asarray(torque(arm, np.asarray(q, np.float64)[None], still, still, payload)[0])
-
-
-def degrees_of_sag(arm: ArmDescription, q: Array, payload: float = 0.0) -> Array:
-    """How far each joint would sag below its goal without the offset: ndarray of shape (J,), deg."""
-    return np.asarray(holding_torque(arm, q, payload) / _model(arm).stiffness * (180.0 / math.pi))
