@@ -363,8 +363,7 @@ class Planner:
             legs, corners = [in_, line(self.arm, place.high, goal)], [(place.rise - inside, CORNER)]
         retreat = self._trajectory("retreat", legs, corners, payload=(self.part_mass, 0.0))
         plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
-        self.gate.check(carry, pick.low, opening=grasp.opening)
-        self.gate.check(retreat, place.low, opening=grasp.opening)
+        self.gate.check_plan(plan, q0)
         return plan
 
     def _approach(self, q0: Array, down: Leg, rounded: float, opening: float) -> Trajectory:
