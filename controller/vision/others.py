@@ -70,20 +70,21 @@ def other_objects(
         kept.append((contour, set(inside)))
     if not kept:
         return [], set()
-    outlines, seen = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
+    outlines, seen, sharp = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
     chosen: list[tuple[Floats, float]] = []
     merged: set[int] = set()
-    for outline, sharp, (_, pieces) in sorted(zip(outlines, seen, kept, strict=True), key=lambda item: -item[1].mean()):
+    order = sorted(zip(outlines, seen, sharp, kept, strict=True), key=lambda item: -item[1].mean())
+    for outline, edge, strict, (_, pieces) in order:
         polygon = outline.astype(np.float32)
         # Where the picture ends there is no edge to be seen.
         height, width = image.shape[:2]
         end = 3.0 * factor
         within = (outline > end).all(axis=1) & (outline[:, 0] < width - end) & (outline[:, 1] < height - end)
-        share = float(sharp[within].mean()) if within.sum() > _POINTS // 3 else 0.0
+        share = float(edge[within].mean()) if within.sum() > _POINTS // 3 else 0.0
         if pieces:
             # What sticks out beyond known shapes must be sharp by itself: a shadow is not.
             free = _away(outline, [known[i] for i in pieces])
-            share = min(share, float(sharp[free].mean()) if free.sum() > 4 else 0.0)
+            share = min(share, float(strict[free].mean()) if free.sum() > 4 else 0.0)
         if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest:
             continue
         # Two cues may both propose it.
@@ -127,8 +128,8 @@ def _middle(polygon: NDArray[np.float32]) -> Floats:
 
 def _on_edges(
     image: NDArray[np.uint8], noise: Floats, contours: list[Floats], blur: float, minimum_contrast: float
-) -> tuple[list[Floats], list[NDArray[np.bool_]]]:
-    """Contours moved onto the nearest sharp edge, and at which of their points there is one."""
+) -> tuple[list[Floats], list[NDArray[np.bool_]], list[NDArray[np.bool_]]]:
+    """Contours moved onto the nearest edge, at which of their points there is one, and where it is a sharp one."""
     count = len(contours)
     points = np.stack([_even(contour) for contour in contours])
     ahead, back = np.roll(points, -1, axis=1), np.roll(points, 1, axis=1)
@@ -137,7 +138,7 @@ def _on_edges(
     normal = np.stack([tangent[..., 1], -tangent[..., 0]], axis=2)
     areas = 0.5 * np.sum(points[..., 0] * ahead[..., 1] - ahead[..., 0] * points[..., 1], axis=1)
     normal *= np.sign(areas)[:, None, None]
-    window = np.full(count, max(4.0, 3.0 * blur))
+    window = np.full(count, max(5.0, 4.0 * blur))
     half = 0.25 * (ahead - back)
     profiles = sample(image, points - half, points + half, normal, window, _COLUMNS)
     values = profiles.values @ np.linalg.inv(np.linalg.cholesky(noise)).T
@@ -151,12 +152,14 @@ def _on_edges(
     width = height / np.maximum(top * math.sqrt(2.0 * math.pi), 1e-9)
     level = math.sqrt(float(noise.trace()) / 3.0)
     clear = height * np.sqrt(profiles.lines) > 6.0
-    seen = clear & (height * level > minimum_contrast) & (width < 2.2 * max(blur, 0.7) + 0.6)
+    clear &= height * level > minimum_contrast
+    seen = clear & (width < 2.2 * max(blur, 0.7) + 0.6)
+    sharp = clear & (width < 1.5 * max(blur, 0.7) + 0.4)
     at = (best + 1 - (_COLUMNS - 1) / 2.0) * spacing
     at = np.where(seen, at, 0.0)
     at = np.median(np.stack([np.roll(at, i, axis=1) for i in (-1, 0, 1)]), axis=0)
     moved = points + at[..., None] * normal
-    return list(moved), list(seen)
+    return list(moved), list(seen), list(sharp)
 
 
 def _even(contour: Floats) -> Floats:

@@ -28,6 +28,8 @@ _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 
 
+_RESTARTS = 3
+"""How often an outline may move on by what its strays ask for: each time by a few pixels."""
 _KEPT = 0.9
 """Share of the visible chunks that count for the misfit: a neighbour or a nick may spoil the others."""
 
@@ -166,14 +168,18 @@ def refine(
         blur: Expected blur, px.
     """
     found = _refine(image, noise, families, qs, maps, index, blur)
-    # Where a whole side was found elsewhere (at a shadow's end, say), start once more from there.
-    again = [i for i, item in enumerate(found) if item is not None and 0.4 < item.visible < 0.95]
-    moved = [_moved(families[i], item) for i in again if (item := found[i]) is not None]
-    second = _refine(image, noise, [families[i] for i in again], moved, maps, [index[i] for i in again], blur)
-    for i, item in zip(again, second, strict=True):
-        first = found[i]
-        if item is not None and first is not None and item.visible > first.visible:
-            found[i] = item
+    # Where a whole side was found elsewhere (at a shadow's end, say), go on from there.
+    latest = dict(enumerate(found))
+    for _ in range(_RESTARTS):
+        again = {i: item for i, item in latest.items() if item is not None and 0.4 < item.visible < 0.95}
+        rows = list(again)
+        moved = [_moved(families[i], item) for i, item in again.items()]
+        results = _refine(image, noise, [families[i] for i in rows], moved, maps, [index[i] for i in rows], blur)
+        latest = dict(zip(rows, results, strict=True))
+        for i, item in latest.items():
+            best = found[i]
+            if item is not None and best is not None and item.visible > best.visible:
+                found[i] = item
     return found
 
 
@@ -488,7 +494,7 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     foreign = inside > 0.4 * np.abs(state.around) + 4.0 / np.sqrt(count * state.lines)
     seen = ~blank & ~foreign & (np.abs(stray) < loose)
     contrast = np.median(state.around, axis=1)
-    faint = blank | (state.around < 0.15 * contrast[:, None])
+    faint = blank | (state.around < 0.1 * contrast[:, None])
     out: list[Refined | None] = []
     for i, family in enumerate(batch.families):
         q = _unpad(family, batch.q[i])

@@ -365,7 +365,7 @@ def _sampled(outline: Floats, count: int = 32) -> Floats:
 
 def _whole(item: Judged) -> bool:
     """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
-    return item.badness < 0.3 and item.refined.visible > 0.95 and not item.refined.faint.any()
+    return item.badness < 0.3 and item.refined.visible > 0.95 and item.refined.faint.sum() <= 1
 
 
 def _merged(scene: Scene, item: Judged) -> bool:
