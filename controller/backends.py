@@ -183,7 +183,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
             f"the simulation cannot start: {error}", "install its extra: pip install 'sorting-controller[sim]'"
         ) from error
     from drivers.arm.dynamixel import DynamixelArm
-    from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
+    from sim_backends.virtual_dynamixel import BusStream, Fault, ServoSpec, VirtualBus
 
     spec = _cell_spec(config, arm, options)
     if options.real_time:
@@ -191,6 +191,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
     cell = SimulatedCell(spec)
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
+    bus.faults.set_rate(Fault.DROP, cell.imperfections.packet_loss)
     return Devices(
         cell.camera,
         DynamixelArm(arm, BusStream(bus), cell.clock),

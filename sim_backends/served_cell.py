@@ -60,6 +60,11 @@ class ServedCell(Protocol):
         """When the camera exposes and delivers."""
         ...
 
+    @property
+    def packet_loss(self) -> float:
+        """Fraction of the servos' answers that the bus loses."""
+        ...
+
     def expose(self) -> Any:
         """A copy of all that a picture of this moment needs."""
         ...
@@ -111,6 +116,7 @@ class PhysicsCell:
         self.servos = [ServoSpec(servo_id, model) for servo_id, model in self._cell.bus_servos]
         self.presenter = self._cell.presenter
         self.beat = CameraBeat(PERIOD, EXPOSURE, self._cell.imperfections.latency)
+        self.packet_loss = self._cell.imperfections.packet_loss
         self.truth = self._cell.truth
         self.truth_at = self._cell.truth_at
         self.portrait = self._cell.overview
@@ -178,6 +184,7 @@ class Bench:
     """
 
     beat = CameraBeat(1.0 / 30.0, 0.008, 0.0)
+    packet_loss = 0.0
 
     def __init__(self, servos: Sequence[ServoSpec]) -> None:
         self.servos = tuple(servos)

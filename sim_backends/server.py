@@ -56,6 +56,7 @@ class CellServer:
         bus = VirtualBus(
             cell.plant, cell.servos, baud=spec.baud, latency_timer_ms=spec.latency_timer_ms, seed=spec.seed
         )
+        bus.faults.set_rate(Fault.DROP, cell.packet_loss)
         self._line = PtyBus(bus, link=folder / "servo-bus")
         self._path = folder / "socket"
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -64,6 +64,7 @@ class Picturesque(Bench):
     """A bench with hands, one part, and a camera that sees gray."""
 
     beat = CameraBeat(0.02, 0.004, 0.01)
+    packet_loss = 0.0
 
     def __init__(self) -> None:
         super().__init__([ServoSpec(*servo) for servo in SERVOS])
