@@ -55,17 +55,24 @@ def other_objects(
         for item in sorted(regions, key=lambda item: item.area)
         if item.cue in ("level", "chroma") and item.core and item.area * factor**2 >= 0.5 * smallest**2
     ]
+    middles = np.array([outline.mean(axis=0) for outline in known]).reshape(-1, 2)
+    low = np.array([outline.min(axis=0) for outline in known]).reshape(-1, 2)
+    high = np.array([outline.max(axis=0) for outline in known]).reshape(-1, 2)
+    areas = [abs(float(cv2.contourArea(outline.astype(np.float32)))) for outline in known]
+    certain = set(whole)
     kept: list[tuple[Floats, set[int]]] = []
     for contour in candidates:
         polygon = contour.astype(np.float32)
         covered = abs(float(cv2.contourArea(polygon)))
-        inside = [i for i, outline in enumerate(known) if _contains(polygon, outline.mean(axis=0))]
-        total = sum(abs(float(cv2.contourArea(known[i].astype(np.float32)))) for i in inside)
+        around = (middles >= polygon.min(axis=0)) & (middles <= polygon.max(axis=0))
+        inside = [int(i) for i in np.flatnonzero(around.all(axis=1)) if _contains(polygon, middles[i])]
+        total = sum(areas[i] for i in inside)
         joined = _aligned([known[i] for i in inside if i in hidden])
-        if (total > 0.85 * covered and not joined) or any(i in whole for i in inside):
+        if (total > 0.85 * covered and not joined) or any(i in certain for i in inside):
             continue
-        outside = [outline.astype(np.float32) for i, outline in enumerate(known) if i not in inside]
-        if any(_contains(outline, _middle(polygon)) for outline in outside):
+        middle = _middle(polygon)
+        over = [int(i) for i in np.flatnonzero(((low <= middle) & (high >= middle)).all(axis=1))]
+        if any(i not in inside and _contains(known[i].astype(np.float32), middle) for i in over):
             continue
         kept.append((contour, set(inside)))
     if not kept:

@@ -57,14 +57,16 @@ def search(
     noise = pixel_noise(image)
     image = without_spikes(image, noise)
     # First what stands out clearly; the costlier guesses only where that left something open.
-    first = [item for item in regions if item.core or (sides and item.cue == "zone")]
+    clear = [item.core or (sides and item.cue == "zone") for item in regions]
+    first = [item for item, use in zip(regions, clear, strict=True) if use]
+    later = [item for item, use in zip(regions, clear, strict=True) if not use]
     first, maps, fits = _fits(first, white, factor, plane, watch)
     scene = Scene(image, noise, white, factor, maps, first, plane, settings)
     judged = refined_outlines(scene, fits)
     watch.lap("refine")
     done = settled(judged)
     open_ = [item for item in first if item.cue != "zone" and not explained(item, done, factor)]
-    rest = [item for item in regions if item not in first and not explained(item, done, factor)]
+    rest = [item for item in later if not explained(item, done, factor)]
     pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
     pieces = _distinct([*rest, *pieces], small.shape, 0.02 if sides else 0.06)
     pieces = [item for item in pieces if not explained(item, done, factor)]
@@ -160,16 +162,16 @@ def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> li
     Copies are regions whose boxes differ by less than half a pixel and a share of their size.
     """
     kept: list[Region] = []
-    seen: list[tuple[float, float, float, float]] = []
+    seen = np.empty((len(regions), 4))
     limit = 0.5 * shape[0] * shape[1]
     for item in regions:
         x, y, w, h = cv2.boundingRect(item.contour)
         if w * h > limit:
             continue
-        box = (float(x), float(y), float(x + w), float(y + h))
+        box = np.array([x, y, x + w, y + h], float)
         tolerance = share * max(w, h) + 0.5
-        if any(max(abs(a - b) for a, b in zip(box, other, strict=True)) < tolerance for other in seen):
+        if kept and bool((np.abs(seen[: len(kept)] - box).max(axis=1) < tolerance).any()):
             continue
-        seen.append(box)
+        seen[len(kept)] = box
         kept.append(item)
     return kept

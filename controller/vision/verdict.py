@@ -104,21 +104,33 @@ class Judged:
     badness: float
     outline: Floats
     area: float
+    box: tuple[float, float, float, float]
 
 
-def settled(judged: Sequence[Judged]) -> list[Floats]:
-    """Outlines that need no further guess: seen completely and fitting well."""
-    return [item.outline for item in judged if _whole(item)]
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """Outlines that need no further guess: polygons, and their boxes (K, 2) low and high, px."""
+
+    polygons: list[NDArray[np.float32]]
+    low: Floats
+    high: Floats
 
 
-def explained(region: Region, outlines: Sequence[Floats], factor: int) -> bool:
-    """Whether a region is covered by one of these outlines and not much larger than it."""
+def settled(judged: Sequence[Judged]) -> Settled:
+    """The outlines that are seen completely and fit well."""
+    outlines = [item.outline for item in judged if _whole(item)]
+    low = np.array([o.min(axis=0) for o in outlines]).reshape(-1, 2)
+    high = np.array([o.max(axis=0) for o in outlines]).reshape(-1, 2)
+    return Settled([o.astype(np.float32) for o in outlines], low, high)
+
+
+def explained(region: Region, done: Settled, factor: int) -> bool:
+    """Whether a region is covered by a settled outline and not much larger than it."""
     x, y, w, h = (float(v) * factor for v in cv2.boundingRect(region.contour))
     middle = (x + 0.5 * w, y + 0.5 * h)
-    for outline in outlines:
-        polygon = outline.astype(np.float32)
-        if cv2.pointPolygonTest(polygon, middle, False) > 0.0:
-            size = polygon.max(axis=0) - polygon.min(axis=0)
+    for i in np.flatnonzero(((done.low <= middle) & (done.high >= middle)).all(axis=1)):
+        if cv2.pointPolygonTest(done.polygons[i], middle, False) > 0.0:
+            size = done.high[i] - done.low[i]
             return w * h < 1.6 * float(size[0] * size[1]) + 8.0 * factor * float(size.sum())
     return False
 
@@ -196,7 +208,8 @@ def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]
             continue
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
-        out.append(Judged(h, r, r.misfit / allowed, outline, covered))
+        (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+        out.append(Judged(h, r, r.misfit / allowed, outline, covered, (float(x0), float(y0), float(x1), float(y1))))
     return out
 
 
@@ -266,10 +279,10 @@ def _select(scene: Scene, judged: list[Judged]) -> list[Judged]:
                 for other in good
                 if 0.5 * item.area < other.area < 0.97 * item.area
                 and rank(other) < rank(item) + 0.3
-                and _overlap(item.outline, other.outline) > 0.9
+                and _shared(item, other) > 0.9
             ]
             chosen = min(inner, key=rank, default=item)
-        if not any(_overlap(chosen.outline, other.outline) > 0.15 for other in accepted):
+        if not any(_shared(chosen, other) > 0.15 for other in accepted):
             accepted.append(chosen)
     accepted = _without_octagons(scene, accepted)
     if scene.sides:
@@ -316,7 +329,7 @@ def _rival(item: Judged, other: Judged) -> bool:
     """Whether another family explains the same outline better."""
     if other is item or other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
         return False
-    return other.refined.chi < item.refined.chi and _overlap(item.outline, other.outline) > 0.85
+    return other.refined.chi < item.refined.chi and _shared(item, other) > 0.85
 
 
 def _table_like(scene: Scene, item: Judged) -> bool:
@@ -371,6 +384,14 @@ def _whole(item: Judged) -> bool:
 def _merged(scene: Scene, item: Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
     return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.faint.mean()) > 0.08
+
+
+def _shared(a: Judged, b: Judged) -> float:
+    """`_overlap` of two outlines, after a look at their boxes."""
+    (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = a.box, b.box
+    if ax1 < bx0 or bx1 < ax0 or ay1 < by0 or by1 < ay0:
+        return 0.0
+    return _overlap(a.outline, b.outline)
 
 
 def _overlap(a: Floats, b: Floats) -> float:
