@@ -56,9 +56,9 @@ def annotate(
     for item in detections:
         _draw_outline(canvas, item, grow, unit)
     taken: list[Box] = []
+    boxes = [_box(item, grow) for item in detections]
     for item in detections:
-        place = on_table.get(id(item))
-        _draw_label(canvas, item, place, grow, unit, taken)
+        _draw_label(canvas, item, on_table.get(id(item)), grow, unit, boxes, taken)
     if legend:
         canvas = _with_legend(canvas, detections, unit)
     return canvas
@@ -116,12 +116,24 @@ def _lines(item: Detection, place: LocatedObject | None) -> list[str]:
         lines.append(marks.strip())
     if place is not None:
         lines.append(f"{place.center[0]:.1f}, {place.center[1]:.1f} mm")
-        lines.append(f"{place.size[0]:.1f} x {place.size[1]:.1f} mm")
     return lines
 
 
+def _box(item: Detection, grow: int) -> Box:
+    """Bounding box in the enlarged picture."""
+    points = _grown(item.outline_px, grow)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return round(low[0]), round(low[1]), round(high[0] - low[0]), round(high[1] - low[1])
+
+
 def _draw_label(
-    canvas: Image, item: Detection, place: LocatedObject | None, grow: int, unit: float, taken: list[Box]
+    canvas: Image,
+    item: Detection,
+    place: LocatedObject | None,
+    grow: int,
+    unit: float,
+    objects: Sequence[Box],
+    taken: list[Box],
 ) -> None:
     """Name, score and millimetres on a dark plate where they hide least."""
     lines = _lines(item, place)
@@ -133,22 +145,27 @@ def _draw_label(
     points = _grown(item.outline_px, grow)
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2.0
-    gap = 5.0 * unit
-    spots = [
-        (middle[0] - width / 2, low[1] - height - gap),
-        (middle[0] - width / 2, high[1] + gap),
-        (high[0] + gap, middle[1] - height / 2),
-        (low[0] - width - gap, middle[1] - height / 2),
-        (high[0] + gap, low[1] - height - gap),
-        (low[0] - width - gap, high[1] + gap),
-    ]
+    spots = []
+    for gap in (5.0 * unit, 5.0 * unit + height, 5.0 * unit + 2 * height):
+        spots += [
+            (middle[0] - width / 2, low[1] - height - gap),
+            (middle[0] - width / 2, high[1] + gap),
+            (high[0] + gap, middle[1] - height / 2),
+            (low[0] - width - gap, middle[1] - height / 2),
+            (high[0] + gap, low[1] - height - gap),
+            (low[0] - width - gap, high[1] + gap),
+        ]
     rows, columns = canvas.shape[:2]
     boxes = [
         (round(min(max(x, 0), columns - width)), round(min(max(y, 0), rows - height)), width, height) for x, y in spots
     ]
-    own = (round(low[0]), round(low[1]), round(high[0] - low[0]), round(high[1] - low[1]))
-    cost = [sum(_shared(box, other) for other in taken) * 3.0 + _shared(box, own) + 0.01 * i
-            for i, box in enumerate(boxes)]  # fmt: skip
+    cost = [
+        3.0 * sum(_shared(box, other) for other in taken)
+        + sum(_shared(box, other) for other in objects)
+        # Nearer is better, by a little.
+        + 0.02 * i * width * height
+        for i, box in enumerate(boxes)
+    ]
     x, y, width, height = boxes[int(np.argmin(cost))]
     taken.append((x, y, width, height))
     x1, y1 = min(columns, x + width), min(rows, y + height)
