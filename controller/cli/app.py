@@ -14,7 +14,9 @@ from controller import __version__
 ROOMS = {
     "run": "run",
     "detect": "detect",
+    "board": "board",
     "calibrate": "calibrate",
+    "home": "motion",
     "config": "config",
     "doctor": "doctor",
     "status": "control",
