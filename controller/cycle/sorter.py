@@ -17,7 +17,7 @@ from controller.cycle import proof
 from controller.cycle.machine import CellMachine, State
 from controller.cycle.rig import Look, Rig
 from controller.cycle.targets import Target, TargetBook
-from controller.cycle.view import region_mask
+from controller.cycle.view import MARGIN_MM, region_mask
 from controller.domain import Bin, Frame, LocatedObject, MoveReport, Outcome, PickPlan, Point, Result, Trajectory
 from controller.errors import CameraEnded, CameraError, LedgerError, PlanError, SorterError
 from controller.localization.locate import locate
@@ -28,6 +28,13 @@ _CAMERA_RETRIES = 5
 
 _DROP_SPREAD = 0.18
 """Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
+
+
+_ASKEW_MM = 45.0
+"""A part that fell into a bin may lean on a wall or stand on an edge: the highest of the usual ones reach this high."""
+
+_LAYER_MM = 8.0
+"""What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
 
 
 class _Interrupted(Exception):
@@ -84,6 +91,7 @@ class Sorter:
         self._picks_from_look = 0
         self._plane = rig.calibration.plane(_typical_half_height(rig))
         self._region: NDArray[np.uint8] | None = None
+        self._view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
         self._handlers: dict[State, Callable[[], str]] = {
             State.HOMING: self._home,
             State.CAPTURE: self._capture,
@@ -276,6 +284,11 @@ class Sorter:
         dx, dy = ((-1, -1), (1, 1), (1, -1), (-1, 1))[corner]
         return bin_.center[0] + dx * _DROP_SPREAD * bin_.size[0], bin_.center[1] + dy * _DROP_SPREAD * bin_.size[1]
 
+    def _pile(self, bin_: Bin) -> float:
+        """Height over the table that what lies in a bin already may reach, mm."""
+        count = self._filled[bin_.name]
+        return 0.0 if count == 0 else _ASKEW_MM + _LAYER_MM * (count - 1)
+
     def _plan_next(self) -> tuple[Target, PickPlan] | None:
         """The first candidate that a safe plan exists for."""
         start = self.rig.arm.state().positions
@@ -287,7 +300,9 @@ class Sorter:
             others = tuple(other for other in self._others if other.detection is not thing.detection)
             self.rig.clock.charge(self.rig.config.cycle.planning_budget_s)
             try:
-                plan = self.rig.planner.plan_pick(thing, others, bin_, self._drop_point(bin_), start)
+                plan = self.rig.planner.plan_pick(
+                    thing, others, bin_, self._drop_point(bin_), start, pile=self._pile(bin_), view=self._view
+                )
             except PlanError as error:
                 self.rig.ledger.note("unplannable", self.rig.clock.now(), center=thing.center, reason=str(error))
                 continue
