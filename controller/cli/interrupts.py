@@ -1,0 +1,34 @@
+"""Ctrl-C and SIGTERM as a request, so that the arm comes to rest along its path."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+@contextmanager
+def on_interrupt(stop: Callable[[], None], message: str) -> Iterator[list[int]]:
+    """Call `stop` on Ctrl-C and SIGTERM; a second one gives up waiting. Yields the signals received so far."""
+    received: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
+            raise KeyboardInterrupt
+        print(f"\n{message}", file=sys.stderr)
+        stop()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def exit_code(received: list[int]) -> int:
+    """130 after Ctrl-C, else 0."""
+    return 130 if signal.SIGINT in received else 0

@@ -1,0 +1,100 @@
+"""`controller home` and `controller jog`: motion by hand, at reduced speed, checked by the safety gate."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from controller.backends import Level
+from controller.cli.config import default_config
+from controller.cli.interrupts import exit_code, on_interrupt
+from controller.config.cell import load_cell
+from controller.config.taught import TAUGHT_BINS, with_taught
+from controller.errors import ConfigError
+from controller.service.folders import state_folder
+from controller.service.manual import ManualCell, ManualOptions, manual_cell
+
+ConfigFile = Annotated[Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file.")]
+Sim = Annotated[bool, typer.Option("--sim", help="The simulated cell: no hardware is touched.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")]
+LevelOf = Annotated[Level, typer.Option("--level", help="How imperfect the simulated world is.")]
+Calibration = Annotated[Path | None, typer.Option(metavar="DIR", help="Use this calibration.")]
+BinsFile = Annotated[
+    Path | None,
+    typer.Option("--bins", metavar="FILE", help="Taught bins (real cell: bins.toml in the state folder)."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")]
+
+
+def home(
+    config: ConfigFile = None,
+    sim: Sim = False,
+    park: Annotated[bool, typer.Option("--park", help="Then to the rest pose, and torque off.")] = False,
+    seed: Seed = 0,
+    level: LevelOf = Level.DYNAMIC,
+    calibration: Calibration = None,
+    bins: BinsFile = None,
+    as_json: AsJson = False,
+) -> int:
+    """Move the arm to its ready pose, out of the camera's view, at no more than 250 mm/s.
+
+    Examples: controller home --sim | controller home --config cell.toml --park
+
+    Torque stays on unless --park. Ctrl-C stops the arm along its path; it then holds where it is.
+    """
+    options = manual_options(config, sim, seed, level, calibration, bins)
+    with manual_cell(options) as cell, on_interrupt(cell.arm.request_stop, _HOLDS) as received:
+        cell.arm.energise()
+        arrived = cell.follow(cell.planner.home)
+        parked = park and arrived and cell.follow(cell.planner.park)
+        if parked:
+            cell.arm.relax()
+        show(cell, as_json, {"home": arrived, "parked": parked})
+    return exit_code(received)
+
+
+_HOLDS = "stopping: the arm slows down along its path and holds; once more gives up waiting"
+
+
+def manual_options(
+    config: Path | None, sim: bool, seed: int, level: Level, calibration: Path | None, bins: Path | None
+) -> ManualOptions:
+    """The cell of a command that moves the arm by hand, its bins where they were taught.
+
+    Raises:
+        ConfigError: A real cell without a configuration, or one that makes no sense.
+    """
+    if config is None and not sim:
+        raise ConfigError(
+            "a real cell needs its configuration", "name it with --config FILE, or try the simulation with --sim"
+        )
+    cell = load_cell(config or default_config())
+    taught = taught_file(bins, sim)
+    if taught is not None:
+        cell = with_taught(cell, taught)
+    return ManualOptions(cell, sim, seed, level, calibration, say=lambda line: print(line, file=sys.stderr))
+
+
+def taught_file(bins: Path | None, sim: bool) -> Path | None:
+    """The file of taught bins: the one named, else a real cell's own; a simulated cell has none."""
+    return bins if bins is not None or sim else state_folder() / TAUGHT_BINS
+
+
+def show(cell: ManualCell, as_json: bool, more: dict[str, object]) -> None:
+    """Print where the arm stands."""
+    found = cell.describe(cell.arm.state())
+    if as_json:
+        print(json.dumps(found | more), flush=True)
+        return
+    joints = "  ".join(f"{name} {angle:.1f}" for name, angle in found["joints_deg"].items())
+    x, y, z = found["tool_mm"]
+    print(f"tool {x:.1f}, {y:.1f}, {z:.1f} mm   joints {joints} deg   jaws {found['opening_mm']:.1f} mm", flush=True)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command("home")(home)
