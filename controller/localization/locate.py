@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from controller.domain import CellCalibration, Detection, LocatedObject, Shape
 from controller.geometry import wrap
-from controller.localization.prism import Noise, PrismFit, Silhouette, Visible, bounding_size, footprint
+from controller.localization.feet import corrected, support
+from controller.localization.prism import Noise, PrismFit, Silhouette, bounding_size, footprint
 
 Array = NDArray[np.float64]
 
@@ -108,7 +109,13 @@ def _locate_one(
         return rough
     if len(detection.outline_px) < MIN_POINTS:
         return f"only {len(detection.outline_px)} outline points"
-    fit = _fit(detection, calibration, rough, noise, limits)
+    fit = _fit(detection, detection.outline_px, calibration, rough, noise, limits)
+    if detection.shape is not Shape.CIRCLE:
+        outline = corrected(detection.frame.image, detection.outline_px, *_foot_and_top(detection, calibration, fit))
+        if outline is not None:
+            fit = _fit(detection, outline, calibration, rough, noise, limits)
+    if detection.shape in _KNOWN_WITHOUT_A_SIDE and _objection(fit, limits):
+        fit = _without_a_side(detection, calibration, fit, rough.height, noise, limits) or fit
     reason = _objection(fit, limits)
     if reason:
         return reason
@@ -176,14 +183,16 @@ def _yaw(detection: Detection, calibration: CellCalibration, level: float) -> fl
 
 
 def _fit(
-    detection: Detection, calibration: CellCalibration, rough: LocatedObject, noise: Noise, limits: Limits
+    detection: Detection,
+    outline: Array,
+    calibration: CellCalibration,
+    rough: LocatedObject,
+    noise: Noise,
+    limits: Limits,
 ) -> PrismFit:
-    """The best prism: from the detection's own direction, then from others, then by its top face alone.
-
-    Where foot and table look alike, vision follows the rim of the top face instead of the whole silhouette.
-    """
+    """The best prism: from the detection's own direction, or from others when that one is not explained."""
     shape, height = detection.shape, rough.height
-    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
+    silhouette = Silhouette(outline, calibration.camera, calibration.T_table_camera)
     first = rough.yaw or 0.0
     if shape is Shape.RECTANGLE:
         dimensions: tuple[float, ...] = rough.size
@@ -194,35 +203,41 @@ def _fit(
     else:
         dimensions = ((rough.size[0] + rough.size[1]) / 2,)
     best: PrismFit | None = None
-    for visible in (Visible.WHOLE, Visible.TOP):
-        for turn in (0.0,) if shape.period is None else _TURNS:
-            start = (*rough.center, first + turn * (shape.period or 0.0))
-            fit = silhouette.fit(shape, start, dimensions, height, noise, visible)
-            if _objection(fit, limits) is None:
-                return fit
-            best = fit if best is None else min(best, fit, key=lambda one: one.cost)
+    for turn in (0.0,) if shape.period is None else _TURNS:
+        start = (*rough.center, first + turn * (shape.period or 0.0))
+        fit = silhouette.fit(shape, start, dimensions, height, noise)
+        if _objection(fit, limits) is None:
+            return fit
+        best = fit if best is None else min(best, fit, key=lambda one: one.cost)
     assert best is not None
-    if shape in _KNOWN_WITHOUT_A_SIDE:
-        return _without_a_side(silhouette, detection.shape, best, height, noise, limits) or best
     return best
 
 
 def _without_a_side(
-    silhouette: Silhouette, shape: Shape, fit: PrismFit, height: float, noise: Noise, limits: Limits
+    detection: Detection, calibration: CellCalibration, fit: PrismFit, height: float, noise: Noise, limits: Limits
 ) -> PrismFit | None:
     """The prism that all sides but one agree on, when that one lies a little outside of it.
 
     A dark side face and the shadow at its foot look alike: vision may take one for the other.
     """
+    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
     found: PrismFit | None = None
+    best = -math.inf
     for edge in np.unique(fit.edges[fit.used]):
         kept = fit.edges != edge
         start = (*fit.center, fit.yaw or 0.0)
-        other = silhouette.fit(shape, start, fit.dimensions, height, noise, kept=kept)
+        other = silhouette.fit(detection.shape, start, fit.dimensions, height, noise, kept)
         fair = 0.0 < other.stray <= _LARGEST_STRAY and _objection(other, limits) is None
-        if fair and (found is None or other.cost < found.cost):
-            found = other
+        # Left out on either side a stray one leaves a fit; the picture tells which of them is there.
+        if fair and (borne := support(detection.frame.image, *_foot_and_top(detection, calibration, other))) > best:
+            found, best = other, borne
     return found
+
+
+def _foot_and_top(detection: Detection, calibration: CellCalibration, fit: PrismFit) -> tuple[Array, Array]:
+    """Pixels (K, 2) of a fitted prism's corners on the table, and of those above them."""
+    feet = footprint(detection.shape, fit.center, fit.yaw, fit.dimensions)
+    return calibration.plane(0.0).to_pixels(feet), calibration.plane(fit.height).to_pixels(feet)
 
 
 def _objection(fit: PrismFit, limits: Limits) -> str | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 import cv2
 import numpy as np
@@ -28,13 +27,6 @@ _ARCS = 6
 #: Outline points this close to a silhouette corner, px, are left out: blur rounds corners.
 _CORNER = 3.0
 _ROUNDS = 25
-
-
-class Visible(Enum):
-    """What of a prism an outline goes around."""
-
-    WHOLE = "top face and sides"
-    TOP = "top face"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +145,6 @@ class Silhouette:
         dimensions: tuple[float, ...],
         height: float,
         noise: Noise,
-        visible: Visible = Visible.WHOLE,
         kept: NDArray[np.bool_] | None = None,
     ) -> PrismFit:
         """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior.
@@ -161,7 +152,7 @@ class Silhouette:
         Points outside `kept` take no part.
         """
         mask = np.ones(len(self.points), bool) if kept is None else kept
-        model = _Model(shape, self._R, self._t, self._local, self._origin, visible)
+        model = _Model(shape, self._R, self._t, self._local, self._origin)
         parameters = np.array([*start, *dimensions, height])
         free = np.ones(len(parameters), bool)
         free[2] = shape is not Shape.CIRCLE
@@ -211,28 +202,24 @@ class Silhouette:
 class _Model:
     """Silhouette of a prism in the undone image, with its derivatives."""
 
-    def __init__(
-        self, shape: Shape, R: Array, t: Array, local: Array, origin: Array, visible: Visible = Visible.WHOLE
-    ) -> None:
+    def __init__(self, shape: Shape, R: Array, t: Array, local: Array, origin: Array) -> None:
         self._unit = unit_footprint(shape)
         self._smooth = shape is Shape.CIRCLE
-        self._levels = (0.0, 1.0) if visible is Visible.WHOLE else (1.0,)
         self._R, self._t, self._local, self._origin = R, t, local, origin
 
     def vertices(self, parameters: Array) -> tuple[Array, Array]:
-        """Vertices (M, 2), foot then top as far as visible, and their derivatives (M, 2, P)."""
+        """Vertices (2K, 2), foot then top, and their derivatives (2K, 2, P)."""
         x, y, yaw = parameters[:3]
         dimensions, height = parameters[3:-1], parameters[-1]
         c, s = math.cos(yaw), math.sin(yaw)
         turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
         local = self._unit @ dimensions
-        copies = len(self._levels)
-        level = np.repeat(self._levels, len(local))
-        points = np.column_stack([np.tile(local @ turn.T + [x, y], (copies, 1)), level * height])
+        level = np.repeat([0.0, 1.0], len(local))
+        points = np.column_stack([np.tile(local @ turn.T + [x, y], (2, 1)), level * height])
         slopes = np.zeros((len(points), 3, len(parameters)))
         slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0
-        slopes[:, :2, 2] = np.tile(local @ turned.T, (copies, 1))
-        slopes[:, :2, 3:-1] = np.tile(np.einsum("ij,kjd->kid", turn, self._unit), (copies, 1, 1))
+        slopes[:, :2, 2] = np.tile(local @ turned.T, (2, 1))
+        slopes[:, :2, 3:-1] = np.tile(np.einsum("ij,kjd->kid", turn, self._unit), (2, 1, 1))
         slopes[:, 2, -1] = level
         inside = points @ self._R.T + self._t
         flat = inside[:, :2] / inside[:, 2:]
