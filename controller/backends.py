@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from sim_backends.cell_spec import CellSpec
 
 
+_MINIATURE = (640, 360)
+"""Size of a film's pictures of the cell, px."""
+
+
 class Mode(StrEnum):
     """Which set of devices a run works with."""
 
@@ -76,6 +80,10 @@ class Devices:
         truth: The simulated world's truth, where there is one.
         clear_table, lay_parts: Take all parts off the table and put them back, where the table is simulated.
         portrait: A picture of the whole cell for people, where there is one.
+        miniature: The same, small and quick to make, for films.
+        on_step: Has something called before every step of simulated time, with the step's length (s); None where
+            the clock is not simulated here.
+        touches: When (s) the arm touched what it should not touch, and what touched what; where that can be known.
         observers: Watchers a set needs for itself.
         closers: Called in reverse order by `close`.
     """
@@ -88,6 +96,9 @@ class Devices:
     clear_table: Callable[[], None] = lambda: None
     lay_parts: Callable[[], None] = lambda: None
     portrait: Callable[[], NDArray[np.uint8]] | None = None
+    miniature: Callable[[], NDArray[np.uint8]] | None = None
+    on_step: Callable[[Callable[[float], None]], None] | None = None
+    touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     observers: tuple[Observer, ...] = ()
     closers: list[Callable[[], None]] = field(default_factory=list)
 
@@ -201,6 +212,9 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         clear_table=cell.set_aside,
         lay_parts=cell.scatter,
         portrait=cell.overview,
+        miniature=lambda: cell.overview(_MINIATURE),
+        on_step=cell.plant.on_step,
+        touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
     )
 
 

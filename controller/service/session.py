@@ -11,7 +11,7 @@ import itertools
 import json
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -46,7 +46,12 @@ _UNCLEAN_RUNS = 3
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the command line asks of a run; see `controller run --help`."""
+    """What the command line asks of a run; see `controller run --help`.
+
+    Attributes:
+        watch: Called when the devices are open and calibrated, before the work begins: the observers it returns
+            are told of the run, and it may put its own watchers before the devices.
+    """
 
     mode: Mode
     config: CellConfig
@@ -59,6 +64,7 @@ class RunOptions:
     real_time: bool = False
     start: bool = False
     observers: tuple[Observer, ...] = ()
+    watch: Callable[[Devices], Sequence[Observer]] = lambda devices: ()
     confirm: Callable[[PickPlan], bool] = lambda plan: True
     say: Callable[[str], None] = lambda line: None
 
@@ -106,6 +112,7 @@ class Session:
             calibration, calibration_s = self._calibrated(devices, folder)
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
             statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
+            watchers = self.options.watch(devices)
             rig = Rig(
                 self._config,
                 devices.camera,
@@ -115,7 +122,7 @@ class Session:
                 calibration,
                 recipe,
                 self._planner(arm, calibration),
-                observers=(*devices.observers, statistics, album, *self.options.observers),
+                observers=(*devices.observers, statistics, album, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
             )
             ledger.begin_run(
