@@ -46,6 +46,9 @@ class Observer:
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """Motion for a target began."""
 
+    def failed(self, plan: PickPlan, reason: str) -> None:
+        """An attempt failed; the target is tried again or gets its outcome."""
+
     def concluded(self, outcome: Outcome) -> None:
         """A target got its outcome."""
 

@@ -208,6 +208,8 @@ class Sorter:
             return "picked"
         self._holding = None
         target.reason = refusal
+        for observer in self.rig.observers:
+            observer.failed(plan, refusal)
         self._grip(plan.grasp.opening)
         self._follow(self.rig.planner.home(self.rig.arm.state().positions))
         if target.attempts >= self.rig.config.cycle.attempts:
@@ -226,6 +228,8 @@ class Sorter:
         self._holding = None
         if dropped is not None:
             target.lost, target.reason = True, dropped
+            for observer in self.rig.observers:
+                observer.failed(plan, dropped)
             if target.attempts >= self.rig.config.cycle.attempts:
                 self._conclude(target, Result.DROPPED, dropped)
         else:
