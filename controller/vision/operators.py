@@ -6,11 +6,14 @@ Octave, differs, the docstring says so.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+Mask = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
 
@@ -144,3 +147,34 @@ def frame_difference(image: Image, background: Image, threshold: float, block: i
         difference = difference.mean(axis=2)
     mean = cv2.blur(difference.astype(np.float32), (block, block), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(mean > threshold, np.uint8)
+
+
+def match_template(image: Image, template: Image, scales: Sequence[float], threshold: float) -> Mask:
+    """Mask (0, 1) of the places that look like a template at any of several scales.
+
+    The normalised correlation coefficient is taken at every scale; the best match first, its rectangle is marked
+    and excludes all others that overlap it. Source: the paper's reference [15], rectangle templates of many sizes.
+
+    Args:
+        image: Gray picture.
+        template: Gray picture of the object with a little of its surroundings.
+        scales: Sizes to try, as factors of the template's.
+        threshold: Least correlation, 0 to 1.
+    """
+    found: list[tuple[float, int, int, int, int]] = []
+    for scale in scales:
+        width, height = round(template.shape[1] * scale), round(template.shape[0] * scale)
+        if min(width, height) < 4 or width > image.shape[1] or height > image.shape[0]:
+            continue
+        way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+        resized = cv2.resize(template, (width, height), interpolation=way)
+        score = cv2.matchTemplate(image, resized, cv2.TM_CCOEFF_NORMED)
+        highest = cv2.dilate(score, np.ones((5, 5), np.uint8))
+        ys, xs = np.nonzero((score >= highest) & (score >= threshold))
+        found += [(float(score[y, x]), int(x), int(y), width, height) for y, x in zip(ys, xs, strict=True)]
+    mask = np.zeros(image.shape[:2], np.uint8)
+    for _, x, y, width, height in sorted(found, reverse=True):
+        place = mask[y : y + height, x : x + width]
+        if not place.any():
+            place[:] = 1
+    return mask

@@ -150,6 +150,16 @@ class FrameDifference(StrictModel):
     block: int = Field(5, ge=1, le=99)
 
 
+class TemplateMatch(StrictModel):
+    """Find what looks like a picture, at several sizes."""
+
+    op: Literal["template_match"]
+    template: str = Field(min_length=1)
+    """File with the picture of one object and a little of its surroundings."""
+    scales: tuple[float, ...] = Field((0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0), min_length=1, max_length=50)
+    threshold: float = Field(0.8, gt=0.0, le=1.0)
+
+
 class FillHoles(StrictModel):
     """Fill what the background cannot reach."""
 
@@ -174,7 +184,7 @@ class Disk(StrictModel):
 
 Stage = Annotated[
     Unsharp | Gray | Median | Average | Gaussian | Stretch | Equalise | Homomorphic | Canny | Gradient | ZeroCrossings
-    | Otsu | FrameDifference | FillHoles | AreaOpen | Disk,
+    | Otsu | FrameDifference | TemplateMatch | FillHoles | AreaOpen | Disk,
     Field(discriminator="op"),
 ]  # fmt: skip
 

@@ -28,8 +28,6 @@ _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 
 
-_RESTARTS = 3
-"""How often an outline may move on by what its strays ask for: each time by a few pixels."""
 _KEPT = 0.9
 """Share of the visible chunks that count for the misfit: a neighbour or a nick may spoil the others."""
 
@@ -155,6 +153,8 @@ def refine(
     maps: LocalMaps,
     index: Sequence[int],
     blur: float,
+    *,
+    restarts: int,
 ) -> list[Refined | None]:
     """Outlines refined on the pixels; None for one that runs away or leaves nothing to see.
 
@@ -166,12 +166,13 @@ def refine(
         maps: The local coordinates.
         index: Which object of `maps` each outline belongs to.
         blur: Expected blur, px.
+        restarts: How often an outline with hidden parts may move on by what its strays ask for, a few px each.
     """
     found = _refine(image, noise, families, qs, maps, index, blur)
     # Where a whole side was found elsewhere (at a shadow's end, say), go on from there.
     latest = dict(enumerate(found))
-    for _ in range(_RESTARTS):
-        again = {i: item for i, item in latest.items() if item is not None and 0.4 < item.visible < 0.95}
+    for _ in range(restarts):
+        again = {i: item for i, item in latest.items() if item is not None and 0.6 < item.visible < 0.95}
         rows = list(again)
         moved = [_moved(families[i], item) for i, item in again.items()]
         results = _refine(image, noise, [families[i] for i in rows], moved, maps, [index[i] for i in rows], blur)

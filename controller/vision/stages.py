@@ -14,6 +14,7 @@ from controller.errors import InputError
 from controller.vision import edges, morphology, operators, recipe
 from controller.vision.descriptors import classify, describe
 from controller.vision.morphology import Component, Mask, components
+from controller.vision.read import read_image
 from controller.vision.timing import Stopwatch
 
 Image = NDArray[np.uint8]
@@ -79,6 +80,9 @@ def _apply(
                     "pass one with --background",
                 )
             return operators.frame_difference(image, background, stage.threshold, stage.block), True
+        case recipe.TemplateMatch():
+            template = operators.gray(read_image(stage.template))
+            return operators.match_template(operators.gray(value), template, stage.scales, stage.threshold), True
         case recipe.FillHoles():
             return morphology.fill_holes(value, stage.connectivity), True
         case recipe.AreaOpen():

@@ -197,7 +197,8 @@ def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]
     settings, maps = scene.settings, scene.maps
     refined = refine(
         scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
-        [h.region for h in wanted], blur,
+        # Where side faces show, the rim beside a top face is looked at on purpose instead.
+        [h.region for h in wanted], blur, restarts=0 if scene.sides else 3,
     )  # fmt: skip
     out = []
     for h, r in zip(wanted, refined, strict=True):
@@ -302,7 +303,9 @@ def _without_octagons(scene: Scene, accepted: list[Judged]) -> list[Judged]:
         starts.append(replace(item.hypothesis, family=OCTAGON, q=q))
     refined = refine(
         scene.image, scene.noise, [h.family for h in starts], [h.q for h in starts], scene.maps,
-        [h.region for h in starts], float(np.median([i.refined.blur for i in suspects])) if suspects else 1.0,
+        [h.region for h in starts],
+        float(np.median([item.refined.blur for item in suspects])) if suspects else 1.0,
+        restarts=0,
     )  # fmt: skip
     octagons = {
         id(item) for item, r in zip(suspects, refined, strict=True) if r is not None and r.chi < 0.5 * item.refined.chi
@@ -350,7 +353,8 @@ def _shadow_like(scene: Scene, item: Judged) -> bool:
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
-    dim = [_shadow_like(scene, item) for item in accepted]
+    # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
+    dim = [_shadow_like(scene, item) or _has_hole(scene, item.outline) for item in accepted]
     casters = [
         reach(item.outline, scene.plane).astype(np.float32)
         for item, shadow in zip(accepted, dim, strict=True)

@@ -157,6 +157,21 @@ def test_every_operator_is_reachable_from_a_recipe_file(stages: tuple[str, ...],
     assert any(np.hypot(d.center_px[0] - 150, d.center_px[1] - 120) < 3.0 for d in found)
 
 
+def test_a_template_is_found_at_another_size(tmp_path: Path) -> None:
+    import cv2
+
+    small = paint([(at(outline_of(Shape.HEXAGON, 40.0), 100, 100), (40.0, 40.0, 40.0))])[70:130, 70:130]
+    assert cv2.imwrite(str(tmp_path / "one.png"), small)
+    path = tmp_path / "mine.toml"
+    path.write_text(chain(f'op = "template_match"\ntemplate = "{tmp_path / "one.png"}"\nscales = [0.7, 1.0, 1.5]'))
+    things = [
+        (at(outline_of(Shape.HEXAGON, 60.0), 80, 110), (40.0, 40.0, 40.0)),
+        (at(outline_of(Shape.SQUARE, 50.0), 230, 120), (40.0, 40.0, 40.0)),
+    ]
+    found = detect(frame(paint(things)), load_recipe(str(path))).detections
+    assert any(np.hypot(d.center_px[0] - 80, d.center_px[1] - 110) < 4.0 for d in found)
+
+
 def test_frame_difference_needs_the_empty_table(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(chain('op = "frame_difference"'))
