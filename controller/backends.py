@@ -211,7 +211,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         truth=_CellTruth(cell),
         clear_table=cell.set_aside,
         lay_parts=cell.scatter,
-        portrait=cell.overview,
+        portrait=lambda: cell.overview((960, 540)),
         miniature=lambda: cell.overview(_MINIATURE),
         on_step=cell.plant.on_step,
         touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
@@ -231,6 +231,10 @@ class _CellTruth:
     def at(self, at: float) -> Sequence[TruePart]:
         """Every part as it was."""
         return self.cell.truth_at(at)
+
+    def tool(self) -> tuple[float, float, float]:
+        """Where the grasp point is."""
+        return self.cell.tool()
 
     def collisions(self) -> int:
         """Touches so far."""

@@ -217,7 +217,11 @@ class Session:
         """The calibration to work with, and how long its making took (s of the cell's clock)."""
         given = self.options.calibration
         if given is not None:
-            return load_calibration(given), 0.0
+            calibration = load_calibration(given)
+            if self.options.mode is Mode.REPLAY:
+                # The arm that records is as it is described: none of its joints is mounted askew.
+                calibration = replace(calibration, joint_offsets={})
+            return calibration, 0.0
         if devices.presenter is not None:
             self.options.say("calibrating the cell by showing it boards")
             began = devices.clock.now()
