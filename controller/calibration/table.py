@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from controller.calibration import bundle, edges, files
 from controller.calibration.boards import T_TABLE_BOARD, Board, BoardKind, BoardNotFound
-from controller.calibration.camera import CameraCalibration, refine_pose
+from controller.calibration.camera import refine_pose
+from controller.calibration.lens import CameraCalibration
 from controller.errors import CalibrationPoorFit, CalibrationStale, InputError
 from controller.geometry import CameraModel, PlaneMap, invert, pose_from_rvec, rvec_tvec
 
