@@ -57,7 +57,7 @@ def search(
     noise = pixel_noise(image)
     image = without_spikes(image, noise)
     # First what stands out clearly; the costlier guesses only where that left something open.
-    clear = [item.core or (sides and item.cue == "zone") for item in regions]
+    clear = [(item.core and (sides or item.cue == "level")) or (sides and item.cue == "zone") for item in regions]
     first = [item for item, use in zip(regions, clear, strict=True) if use]
     later = [item for item, use in zip(regions, clear, strict=True) if not use]
     first, maps, fits = _fits(first, white, factor, plane, watch)

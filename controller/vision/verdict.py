@@ -176,6 +176,9 @@ def refined_outlines(scene: Scene, fits: list[list[Hypothesis]]) -> list[Judged]
     for rank in (0, 1):
         wanted = []
         done = {j.hypothesis.region for j in judged if j.badness < 0.7}
+        if rank and not scene.sides:
+            clear = settled(judged)
+            done |= {i for i, item in enumerate(scene.regions) if explained(item, clear, scene.factor)}
         for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
             h = options[rank]
             if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
