@@ -1,0 +1,210 @@
+"""Colour of parts: measured on their material, in the light that the table around them tells of, and named.
+
+The light's colour and strength are taken from something known to be gray (the table around each part, or a gray
+card), and divided out in linear light: a lamp's warmth, its gradient and the exposure cancel. What remains is the
+share of light the part gives back, whose robust centre in OKLab is the part's colour.
+
+Limits: dividing is exact for three narrow bands; real lamps and dyes have spectra, and two dyes that look alike in
+one light may differ in another. A lamp without blue gives no blue back, whatever is divided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.errors import InputError
+from controller.vision.appearance.oklab import LINEAR, LUMINANCE, Floats32, linear, oklab
+from controller.vision.appearance.palette import name_of
+from controller.vision.appearance.patch import Image, Patch
+from controller.vision.appearance.settings import Appearance
+
+SAMPLES = 256
+"""Pixels looked at of each part: their median is good to a tenth of the pixels' own noise."""
+_GLARE = 250
+"""A pixel whose darkest channel is this bright shows the lamp, not the part."""
+_CLIPPED = 254
+_SECOND_SHARE = 0.25
+"""A second colour covers at least this share of the part ..."""
+_APART = 0.10
+"""... and differs by this much in a and b together: shading changes lightness and chroma, never hue and neutrality."""
+_APART_LIGHTNESS = 0.35
+"""... or by this much in lightness between unsaturated colours: no shading on one face is that deep."""
+_BRIGHT_TABLE = 0.08
+"""Luminance from which a table may be taken for gray: below, noise decides its colour."""
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """What colour a part has.
+
+    Attributes:
+        name: One of `palette.NAMES`.
+        lab: (L, a, b) in OKLab of the share of light it gives back.
+        distance: How far from the nearest place of that name, in the palette's measure; below 0.1 is plain.
+        second: Name of a second colour, or None.
+        second_lab: (L, a, b) of the second colour, or None.
+        second_share: Share of the part that has the second colour.
+    """
+
+    name: str
+    lab: tuple[float, float, float]
+    distance: float
+    second: str | None = None
+    second_lab: tuple[float, float, float] | None = None
+    second_share: float = 0.0
+
+
+def measure(image: Image, patches: Sequence[Patch], settings: Appearance) -> list[Colour]:
+    """The colour of each patch.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8, BGR: the frame the patches are cut from.
+        patches: Parts.
+        settings: What tells the colour of the light.
+
+    Raises:
+        InputError: The gray card lies outside the picture, or is too dark or too bright to measure.
+    """
+    if not patches:
+        return []
+    samples = [_samples(patch) for patch in patches]
+    gains = balance(image, patches, settings)
+    counts = [len(sample) for sample in samples]
+    light = linear(np.concatenate(samples)) * np.repeat(gains, counts, axis=0)
+    lab = oklab(light)
+    ends = np.cumsum(counts)
+    return [_colour(lab[end - count : end]) for end, count in zip(ends, counts, strict=True)]
+
+
+def balance(image: Image, patches: Sequence[Patch], settings: Appearance) -> Floats32:
+    """Factors (N, 3) that turn each patch's linear BGR light into the share it gives back."""
+    ones = np.ones((len(patches), 3), np.float32)
+    if settings.reference == "none":
+        return ones
+    around = _light_of(np.array([patch.table for patch in patches]))
+    if settings.reference == "patch":
+        assert settings.patch_px is not None
+        card, beside = _card(image, settings.patch_px)
+        # Where the table is brighter than beside the card, so is the light: whatever colour the table has.
+        relative = np.clip(around / np.maximum(beside, 1e-4), 0.33, 3.0) if beside.min() > 0.004 else ones
+        return np.asarray(settings.patch_reflectance / (card * relative), np.float32)
+    gives = np.full(len(patches), settings.table_reflectance)
+    if settings.reference == "auto":
+        # Nobody vouches for the table's gray: one that looks brighter than told is taken to be so.
+        gives = np.maximum(gives, np.minimum(around @ LUMINANCE, 1.0))
+    gains = np.asarray(gives[:, None] / np.maximum(around, 0.01), np.float32)
+    if settings.reference == "table":
+        return gains
+    believed = np.array([_gray_enough(light) for light in around])
+    return np.where(believed[:, None], gains, ones)
+
+
+def _light_of(codes: NDArray[np.float64]) -> Floats32:
+    """Linear light of codes that need not be whole."""
+    return np.asarray(np.interp(codes, np.arange(256), LINEAR), np.float32)
+
+
+def _gray_enough(light: Floats32) -> bool:
+    """Whether linear BGR light can come from a gray table under a lamp of 3300 to 9000 K on a daylight camera.
+
+    Lamps follow a line: log(B/G) is about -1.75 log(R/G) (Planck's law in sRGB). A brown table lies further out or
+    beside it.
+    """
+    if float(light @ LUMINANCE) < _BRIGHT_TABLE:
+        return False
+    warm = math.log(max(float(light[2]), 1e-4) / max(float(light[1]), 1e-4))
+    cold = math.log(max(float(light[0]), 1e-4) / max(float(light[1]), 1e-4))
+    return -0.25 < warm < 0.45 and abs(cold + 1.75 * warm) < 0.4
+
+
+def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32, Floats32]:
+    """Linear BGR light (3,) of the gray card, and of the table beside it."""
+    x, y, w, h = rectangle
+    if x + w > image.shape[1] or y + h > image.shape[0]:
+        raise InputError(
+            f"the gray card at {x}, {y} reaches beyond the picture ({image.shape[1]} x {image.shape[0]})",
+            "mend patch_px in the recipe",
+        )
+    middle = image[y + h // 5 : y + h - h // 5, x + w // 5 : x + w - w // 5].reshape(-1, 3)
+    codes = np.median(middle, axis=0)
+    if codes.max() >= _CLIPPED or codes.max() < 12:
+        state = "overexposed" if codes.max() >= _CLIPPED else "too dark"
+        raise InputError(f"the gray card is {state} (BGR {codes})", "change the exposure, or the card's place")
+    ring = image[max(0, y - h) : y + 2 * h, max(0, x - w) : x + 2 * w]
+    keep = np.ones(ring.shape[:2], bool)
+    top, left = min(y, h), min(x, w)
+    keep[max(0, top - 3) : top + h + 3, max(0, left - 3) : left + w + 3] = False
+    beside = np.median(ring[keep], axis=0) if keep.any() else codes
+    return np.maximum(_light_of(codes), 1e-3), _light_of(beside)
+
+
+def _samples(patch: Patch) -> NDArray[np.uint8]:
+    """Up to SAMPLES pixels (n, 3) of the material, spread evenly, without glare unless there is little else."""
+    at = np.flatnonzero(patch.material)
+    pixels = patch.image.reshape(-1, 3) if patch.image.flags.c_contiguous else None
+    if len(at) > SAMPLES:
+        at = at[np.linspace(0, len(at) - 1, SAMPLES).astype(np.intp)]
+    if pixels is None:
+        rows, columns = np.divmod(at, patch.material.shape[1])
+        values = patch.image[rows, columns]
+    else:
+        values = pixels[at]
+    matt = values.min(axis=1) < _GLARE
+    return values[matt] if 2 * np.count_nonzero(matt) >= len(values) else values
+
+
+def _colour(lab: Floats32) -> Colour:
+    """The colour of a part from its pixels (n, 3) in OKLab."""
+    center = np.median(lab, axis=0)
+    split = _split(lab)
+    if split is None:
+        name, distance = name_of(center)
+        return Colour(name, _triple(center), distance)
+    first, second, share = split
+    name, distance = name_of(first)
+    other, _ = name_of(second)
+    if other == name:
+        whole, apart = name_of(center)
+        return Colour(whole, _triple(center), apart)
+    return Colour(name, _triple(first), distance, other, _triple(second), share)
+
+
+def _split(lab: Floats32) -> tuple[Floats32, Floats32, float] | None:
+    """Centres of the two colours of a part, the larger first, and the share of the other; None for one colour."""
+    if len(lab) < 24:
+        return None
+    mean, axes, spreads = cv2.PCACompute2(lab, mean=np.empty(0))
+    # A single colour, noise and shading included, spreads less than two that could be told apart.
+    if float(spreads[0, 0]) < (_SECOND_SHARE * (1.0 - _SECOND_SHARE)) * _APART**2:
+        return None
+    along = (lab - mean) @ axes[0]
+    cut = float(along.mean())
+    for _ in range(6):
+        upper = along > cut
+        cut = 0.5 * (float(along[upper].mean()) + float(along[~upper].mean()))
+    upper = along > cut
+    share = float(np.count_nonzero(upper)) / len(lab)
+    if not _SECOND_SHARE <= share <= 1.0 - _SECOND_SHARE:
+        return None
+    a, b = np.median(lab[upper], axis=0), np.median(lab[~upper], axis=0)
+    gap = b - a
+    chroma_a, chroma_b = math.hypot(a[1], a[2]), math.hypot(b[1], b[2])
+    # Shading scales a colour: what is left of the difference after the best scaling is a difference of paint.
+    scale = float(a @ b) / max(float(a @ a), 1e-6)
+    paint = math.hypot(*(b - scale * a)[1:])
+    unsaturated = max(chroma_a, chroma_b) < 0.05
+    if paint < 0.5 * _APART and not (unsaturated and abs(float(gap[0])) > _APART_LIGHTNESS):
+        return None
+    if math.hypot(float(gap[1]), float(gap[2])) < _APART and not unsaturated:
+        return None
+    return (a, b, 1.0 - share) if share >= 0.5 else (b, a, share)
+
+
+def _triple(values: Floats32) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
