@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Observer
 from controller.domain import ArmDescription, Array, PickPlan, TruePart
-from controller.errors import InputError
+from controller.errors import DeviceError, InputError
 from controller.geometry import CameraModel
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
 
@@ -103,15 +103,23 @@ class Devices:
     closers: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self) -> None:
-        """Open camera and arm.
+        """Open camera and arm; when both fail, the error names both.
 
         Raises:
             DeviceError: One of them is not there or not in order.
         """
-        self.camera.open()
-        self.closers.append(self.camera.close)
-        self.arm.open()
-        self.closers.append(self.arm.close)
+        failures: list[DeviceError] = []
+        for device in (self.camera, self.arm):
+            try:
+                device.open()
+                self.closers.append(device.close)
+            except DeviceError as error:
+                failures.append(error)
+        if failures:
+            first = failures[0]
+            first.cause = "; and ".join(failure.cause for failure in failures)
+            first.remedy = "; ".join(dict.fromkeys(failure.remedy for failure in failures if failure.remedy))
+            raise first
 
     def close(self) -> None:
         """Release everything, last opened first."""

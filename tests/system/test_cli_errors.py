@@ -59,11 +59,13 @@ def test_an_unreachable_bin(controller: Controller, tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_missing_camera(controller: Controller, tmp_path: Path) -> None:
-    path = write(tmp_path / "cell.toml", CELL.replace("/dev/sorter-cam", "/dev/no-camera-here"))
-    done = controller("run", "--config", path, "--start")
+def test_a_missing_camera_and_a_missing_serial_port(controller: Controller, tmp_path: Path) -> None:
+    text = CELL.replace("/dev/sorter-cam", "/dev/no-camera-here").replace("/dev/sorter-arm", "/dev/no-port-here")
+    done = controller("run", "--config", write(tmp_path / "cell.toml", text), "--start")
     assert done.returncode == 1
-    assert "/dev/no-camera-here" in one_error(done.stderr)
+    line = one_error(done.stderr)
+    assert "/dev/no-camera-here" in line
+    assert "/dev/no-port-here" in line
 
 
 def test_a_second_instance(controller: Controller, tmp_path: Path) -> None:

@@ -96,3 +96,19 @@ def test_the_stock_serial_path_sorts_in_real_time(controller: Controller) -> Non
     check_sums(found)
     assert (found["correct"], found["missorted"], found["silent"]) == (3, 0, 0)
     assert found["sim_s"] == pytest.approx(found["wall_s"], abs=0.5)  # both clocks are the system's
+
+
+def test_the_simulation_needs_nothing_that_only_posix_has(tmp_path: Path, environment: dict[str, str]) -> None:
+    program = """
+import sys
+import subprocess, serial  # these choose their own system's modules
+for name in ("fcntl", "termios", "tty", "pty", "grp", "pwd", "resource", "syslog"):
+    sys.modules[name] = None
+from controller.cli import main
+main(["run", "--sim", "--level", "ideal", "--parts", "1", "--seed", "1", "--json", "--out", "run"])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert figures(done.stdout)["correct"] == 1
