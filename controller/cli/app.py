@@ -17,6 +17,8 @@ ROOMS = {
     "board": "board",
     "calibrate": "calibrate",
     "home": "motion",
+    "jog": "motion",
+    "bins": "bins",
     "config": "config",
     "doctor": "doctor",
     "status": "control",

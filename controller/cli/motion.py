@@ -12,10 +12,12 @@ import typer
 from controller.backends import Level
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt
+from controller.cli.keys import HELP, Client, Keys
 from controller.config.cell import load_cell
 from controller.config.taught import TAUGHT_BINS, with_taught
-from controller.errors import ConfigError
+from controller.errors import ConfigError, InputError, PlanError
 from controller.service.folders import state_folder
+from controller.service.jogging import DeadMan, HeartbeatLost, Jogger, parse
 from controller.service.manual import ManualCell, ManualOptions, manual_cell
 
 ConfigFile = Annotated[Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file.")]
@@ -55,6 +57,65 @@ def home(
             cell.arm.relax()
         show(cell, as_json, {"home": arrived, "parked": parked})
     return exit_code(received)
+
+
+def jog(
+    config: ConfigFile = None,
+    sim: Sim = False,
+    seed: Seed = 0,
+    level: LevelOf = Level.DYNAMIC,
+    calibration: Calibration = None,
+    bins: BinsFile = None,
+    as_json: AsJson = False,
+) -> int:
+    r"""Move the arm by hand: one key, one bounded step, no faster than 250 mm/s, each checked before it moves.
+
+    Examples: controller jog --sim | printf 'x+ 10\nj1- 2\nq\n' | controller jog --sim --json
+
+    When the keys are not read for 200 ms the arm stops along its path. At the end it holds where it is, so that
+    `controller bins set NAME` can take the place; `controller home --park` brings it to rest.
+    """
+    options = manual_options(config, sim, seed, level, calibration, bins)
+    keys = Keys(options.say) if sys.stdin.isatty() else None
+    with manual_cell(options) as cell:
+        return _jog(cell, keys, taught_file(bins, sim), as_json)
+
+
+def _jog(cell: ManualCell, keys: Keys | None, taught: Path | None, as_json: bool) -> int:
+    arm = cell.arm
+
+    def lost() -> None:
+        arm.request_stop()
+        client.forget()
+
+    dead_man = DeadMan(lost)
+    client = Client(dead_man.beat, arm.request_stop, keys)
+
+    def end() -> None:
+        arm.request_stop()
+        client.quit()
+
+    jogger = Jogger(cell, dead_man, taught)
+    failed = False
+    if keys is not None:
+        print(HELP, file=sys.stderr)
+    with on_interrupt(end, _HOLDS) as received, client.reading(), dead_man.watching():
+        arm.energise()
+        show(cell, as_json, {})
+        while True:
+            line = client.next()
+            try:
+                command = parse(line, len(arm.description.joints))
+                if command.what == "quit":
+                    break
+                note = jogger.do(command)
+            except (PlanError, ConfigError, InputError, HeartbeatLost) as error:
+                failed = True
+                note = f"refused: {error}"
+            if note:
+                print(note, file=sys.stderr)
+            show(jogger.cell, as_json, {"command": line, "note": note})
+    return exit_code(received) or int(failed and keys is None)
 
 
 _HOLDS = "stopping: the arm slows down along its path and holds; once more gives up waiting"
@@ -98,3 +159,4 @@ def show(cell: ManualCell, as_json: bool, more: dict[str, object]) -> None:
 def add_to(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command("home")(home)
+    app.command("jog")(jog)

@@ -13,7 +13,7 @@ from controller.backends import DEVICES, BackendOptions, Level, Mode, nominal_ca
 from controller.calibration.store import load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
-from controller.domain import ArmDescription, ArmState, Array, CellCalibration, Trajectory
+from controller.domain import ArmState, Array, CellCalibration, Trajectory
 from controller.motion.manual import ManualPlanner
 from controller.ports import Arm, Clock
 from controller.service.folders import state_folder
@@ -86,7 +86,7 @@ def manual_cell(options: ManualOptions) -> Iterator[ManualCell]:
     with contextlib.ExitStack() as stack:
         if not options.sim:
             stack.enter_context(InstanceLock(state_folder()))
-        calibration = _calibration(options, description)
+        calibration = calibration_of(options)
         backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level)
         devices = DEVICES[Mode.SIM if options.sim else Mode.REAL](config, description, backend)
         stack.callback(devices.close)
@@ -103,12 +103,17 @@ def by_ruler(config: CellConfig) -> CellCalibration:
     return CellCalibration("by ruler", camera, T_table_camera, config.table.T_base_table())
 
 
-def _calibration(options: ManualOptions, arm: ArmDescription) -> CellCalibration:
+def calibration_of(options: ManualOptions) -> CellCalibration:
+    """The calibration asked for, else a real cell's stored one, else what ruler and data sheet say.
+
+    Raises:
+        CalibrationMissing, CalibrationStale, InputError: The calibration cannot be used.
+    """
     folder = options.calibration
     if folder is None and not options.sim and (state_folder() / "calibration").is_dir():
         folder = state_folder() / "calibration"
     if folder is not None:
         return load_calibration(folder)
     if not options.sim:
-        options.say(f"warning: {arm.title} is not calibrated: positions are by ruler, good to centimetres")
+        options.say("warning: the cell is not calibrated: positions are by ruler, good to centimetres")
     return by_ruler(options.config)
