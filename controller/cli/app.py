@@ -19,6 +19,7 @@ ROOMS = {
     "home": "motion",
     "jog": "motion",
     "bins": "bins",
+    "evaluate": "evaluate",
     "config": "config",
     "doctor": "doctor",
     "status": "control",

@@ -1,0 +1,69 @@
+"""`controller evaluate`: accuracy against truth, in simulation and on annotated pictures."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from controller.backends import Level
+from controller.cli.config import default_config
+from controller.cli.evaluate_sim import Job, evaluate_sim
+from controller.config.cell import load_cell
+
+group = typer.Typer(
+    help="Measure accuracy against truth: a simulated world's, or that of annotated pictures.",
+    invoke_without_command=True,
+)
+
+
+@group.callback()
+def evaluate(
+    context: typer.Context,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="Sort simulated tables and compare with the world's truth.")
+    ] = False,
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="How many tables to sort, a seed each.")] = 10,
+    parts: Annotated[int, typer.Option(min=1, max=200, help="Parts on each table.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first table.")] = 0,
+    level: Annotated[Level, typer.Option(help="How imperfect the simulated world is.")] = Level.DYNAMIC,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell's TOML file.")] = None,
+    arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; as many as processors unless given.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write JSON and an HTML page into DIR.")] = None,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Compare with the evaluation.json of another evaluation.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
+) -> int:
+    """Measure accuracy against truth.
+
+    Examples: controller evaluate --sim --frames 100 --level dynamic --report evaluation |
+    controller evaluate --sim --compare evaluation/evaluation.json
+    """
+    if context.invoked_subcommand is not None:
+        return 0
+    if not sim:
+        raise typer.BadParameter("say what to evaluate: --sim")
+    cell = load_cell(config or default_config())
+    if arm is not None:
+        cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm})})
+    head = {
+        "mode": "sim",
+        "arm": cell.arm.description,
+        "arm_given": arm is not None,
+        "config": None if config is None else str(config),
+        "level": str(level),
+        "parts_per_table": parts,
+        "first_seed": seed,
+    }
+    tables = [Job(cell, parts, number, level) for number in range(seed, seed + frames)]
+    processes = min(jobs or len(os.sched_getaffinity(0)), frames)
+    return evaluate_sim(head, tables, processes, report, compare, as_json)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.add_typer(group, name="evaluate")

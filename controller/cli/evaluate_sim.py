@@ -1,0 +1,184 @@
+"""`controller evaluate --sim`: many tables sorted in simulation, over all processors, judged by the world's truth."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+from rich.table import Table
+
+from controller.backends import Level, Mode
+from controller.cli.output import stderr, stdout
+from controller.config.cell import CellConfig
+from controller.errors import InputError, SorterError
+from controller.insight import evaluation_report
+from controller.insight.evaluation import summary
+from controller.insight.trial import Record, Trial
+from controller.service.session import RunOptions, Session
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One table to sort; goes to a process of its own.
+
+    Attributes:
+        config: The cell.
+        parts: On the table.
+        seed, level: Of the simulated world.
+    """
+
+    config: CellConfig
+    parts: int
+    seed: int
+    level: Level
+
+
+def sort_one(job: Job) -> Record:
+    """Sort one table and write down all about it; what went wrong is part of the record, not an exception."""
+    trial = Trial(job.config)
+    with tempfile.TemporaryDirectory(prefix="evaluate-") as folder:
+        out = Path(folder) / "run"
+        options = RunOptions(
+            Mode.SIM, job.config, out=out, parts=job.parts, seed=job.seed, level=job.level, watch=trial.watch
+        )
+        problem = {}
+        try:
+            figures = Session(options).run()
+        except Exception as error:
+            # A defect in one run must neither hide the others' figures nor its own seed.
+            named = isinstance(error, SorterError)
+            problem = {"error": str(error) if named else f"{type(error).__name__}: {error}"}
+            report = out / "report.json"
+            figures = json.loads(report.read_text(encoding="utf-8")) if report.is_file() else {}
+    if not figures:
+        return {"seed": job.seed, **problem}
+    return {"seed": job.seed, **problem, **trial.record(figures)}
+
+
+def evaluate_sim(
+    head: Mapping[str, Any],
+    jobs: Sequence[Job],
+    processes: int,
+    report: Path | None,
+    compare: Path | None,
+    as_json: bool,
+) -> int:
+    """Run the jobs, print the figures, write the report; 1 when a run broke off.
+
+    Args:
+        head: What is run, for the figures.
+        jobs: The tables.
+        processes: How many at a time.
+        report: Folder for `evaluation.html` and `evaluation.json`.
+        compare: An `evaluation.json` of before.
+        as_json: Print JSON.
+    """
+    old = _figures_of(compare) if compare is not None else None
+    if report is not None:
+        report.mkdir(parents=True, exist_ok=True)
+    records = []
+    console = stderr()
+    for record in _sorted(jobs, processes):
+        records.append(record)
+        console.print(
+            f"{len(records):4d} of {len(jobs)}  {_line(record)}", highlight=False, markup=False, soft_wrap=True
+        )
+    records.sort(key=lambda record: int(record["seed"]))
+    figures = summary(head, records)
+    if report is not None:
+        text = json.dumps({"summary": figures, "runs": records})
+        (report / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+        page = evaluation_report.page(figures, records, jobs[0].config, old)
+        (report / "evaluation.html").write_text(page, encoding="utf-8")
+    if as_json:
+        print(json.dumps(figures))
+    else:
+        _print(figures, old, report)
+    return 1 if figures["broken_runs"] else 0
+
+
+def _sorted(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
+    """Records as they are done."""
+    if processes == 1:
+        yield from map(sort_one, jobs)
+        return
+    # Fresh processes: a forked one would inherit the threads' locks of this one.
+    context = multiprocessing.get_context("spawn")
+    with (
+        _single_threaded(),
+        ProcessPoolExecutor(processes, context, initializer=cv2.setNumThreads, initargs=(1,)) as pool,
+    ):
+        waiting = [pool.submit(sort_one, job) for job in jobs]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Processes started meanwhile use one thread each for linear algebra: there is one of them for every core."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _figures_of(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["summary"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is no evaluation ({error})", "name an evaluation.json of --report DIR") from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path} is no evaluation", "name an evaluation.json of --report DIR")
+    return found
+
+
+def _line(record: Record) -> str:
+    figures = record.get("figures", {})
+    told = ", ".join(
+        f"{figures[key]} {key}"
+        for key in ("correct", "missorted", "silent", "rejected", "left", "dropped", "indeterminate", "collisions")
+        if figures.get(key)
+    )
+    problem = f"  broke off: {record['error']}" if "error" in record else ""
+    return f"seed {record['seed']}: {told}{problem}"
+
+
+def _print(figures: Mapping[str, Any], old: Mapping[str, Any] | None, report: Path | None) -> None:
+    grid = Table(box=None, show_header=False, pad_edge=False)
+    for name, value in evaluation_report.rows(figures):
+        grid.add_row(name, value)
+    console = stdout()
+    console.print(grid)
+    if old is not None:
+        changes = Table(box=None, pad_edge=False)
+        for title in ("changed", "before", "now"):
+            changes.add_column(title)
+        for line in evaluation_report.comparison(figures, old):
+            changes.add_row(*line)
+        console.print(changes)
+    for run in figures["broken_runs"]:
+        print(f"seed {run['seed']} broke off: {run['error']}", file=sys.stderr)
+    if report is not None:
+        console.print(f"Report: {report / 'evaluation.html'}")
