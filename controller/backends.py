@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
+from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, Array, PickPlan, TruePart
+from controller.domain import ArmDescription, Array, TruePart
 from controller.errors import DeviceError, InputError
 from controller.geometry import CameraModel
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
@@ -171,26 +172,31 @@ def replay_devices(config: CellConfig, arm: ArmDescription, options: BackendOpti
 
     assert options.replay is not None
     clock = VirtualClock()
-    imagined = _ImaginedPart()
+    imagined = ImaginedPart()
     moves = CommandFile(options.out / "moves.jsonl")
     recorder = RecordingArm(arm, clock, on_command=moves, grip_model=imagined.grip)
     camera = ReplayCamera(options.replay, clock)
     return Devices(camera, recorder, clock, observers=(imagined,), closers=[moves.close])
 
 
-class _ImaginedPart(Observer):
-    """Replayed pictures hold no parts: this one is always where it was seen, as wide as it was measured."""
+def rehearsed(devices: Devices, arm: ArmDescription, options: BackendOptions, rehearsal: Rehearsal) -> Devices:
+    """The same devices for a rehearsal: one look, and an arm that only writes down its moves, or grips nothing.
 
-    def __init__(self) -> None:
-        self._width = 0.0
+    They are to be opened and closed by themselves. The world's truth is left out: nothing that the cell believes
+    to have done was done.
+    """
+    from sim_backends.recording_arm import CommandFile, RecordingArm
 
-    def planned(self, plan: PickPlan) -> None:
-        """Remember how wide the part is that the jaws will close on."""
-        self._width = plan.grasp.width
-
-    def grip(self, before: float, wanted: float) -> tuple[bool, float]:
-        """Whether the jaws touch the part on their way, and where they settle (mm)."""
-        return (True, self._width) if wanted < self._width <= before else (False, wanted)
+    imagined = ImaginedPart()
+    closers: list[Callable[[], None]] = []
+    stand_in: Arm = EmptyHanded(devices.arm, imagined)
+    if rehearsal is Rehearsal.DRY:
+        moves = CommandFile(options.out / "moves.jsonl")
+        closers.append(moves.close)
+        stand_in = RecordingArm(arm, devices.clock, on_command=moves, grip_model=imagined.grip)
+    camera = OneLook(devices.camera)
+    observers = (*devices.observers, imagined)
+    return replace(devices, camera=camera, arm=stand_in, truth=None, observers=observers, closers=closers)
 
 
 def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:

@@ -21,11 +21,12 @@ from typing import Any
 import cv2
 
 from controller import __version__
-from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera
+from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera, rehearsed
 from controller.calibration.store import load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
 from controller.cycle.preflight import check
+from controller.cycle.rehearsal import AIR_SPEED, AirPlanner, Rehearsal
 from controller.cycle.rig import Observer, Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import ArmDescription, CellCalibration, PickPlan
@@ -63,6 +64,7 @@ class RunOptions:
     level: Level = Level.DYNAMIC
     real_time: bool = False
     start: bool = False
+    rehearsal: Rehearsal = Rehearsal.NONE
     observers: tuple[Observer, ...] = ()
     watch: Callable[[Devices], Sequence[Observer]] = lambda devices: ()
     confirm: Callable[[PickPlan], bool] = lambda plan: True
@@ -75,8 +77,8 @@ class Session:
     def __init__(self, options: RunOptions) -> None:
         self.options = options
         self._config = options.config
-        if options.mode is Mode.REPLAY:
-            # The next picture shows the next table: everything in this one is worked off first.
+        if options.mode is Mode.REPLAY or options.rehearsal is not Rehearsal.NONE:
+            # The next picture shows the next table, or there is none: everything in this one is worked off first.
             cycle = options.config.cycle.model_copy(update={"picks_per_look": 100})
             self._config = options.config.model_copy(update={"cycle": cycle})
         self._stop = threading.Event()
@@ -102,14 +104,26 @@ class Session:
         for warning in check(self._config, arm, self._planner(arm, self._by_ruler())):
             self.options.say(f"warning: {warning}")
         folder = state_folder()
-        if self.options.mode is not Mode.REAL or self.options.out is not None:
+        real, rehearsal = self.options.mode is Mode.REAL, self.options.rehearsal
+        sorting = rehearsal is Rehearsal.NONE
+        if not real or not sorting or self.options.out is not None:
             folder = new_run_folder(self.options.out, datetime.now())
         with InstanceLock(folder), contextlib.ExitStack() as stack:
-            service = Service.standing_by(self._config, stack) if self.options.mode is Mode.REAL else None
+            if real and not sorting:
+                stack.enter_context(InstanceLock(state_folder()))
+            service = Service.standing_by(self._config, stack) if real and sorting else None
             devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder, service))
             stack.callback(devices.close)
-            devices.open()
+            if not real or sorting:
+                devices.open()
             calibration, calibration_s = self._calibrated(devices, folder)
+            if not sorting:
+                devices = rehearsed(devices, arm, self._backend_options(folder, service), rehearsal)
+                stack.callback(devices.close)
+                devices.open()
+            if rehearsal is Rehearsal.DRY:
+                # The arm that records is as it is described: none of its joints is mounted askew.
+                calibration = replace(calibration, joint_offsets={})
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
             statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
             watchers = self.options.watch(devices)
@@ -192,6 +206,8 @@ class Session:
         head: dict[str, Any] = {"mode": str(self.options.mode), "arm": arm.name}
         if self.options.mode is Mode.SIM:
             head |= {"level": str(self.options.level), "seed": self.options.seed}
+        if self.options.rehearsal is not Rehearsal.NONE:
+            head |= {"rehearsal": str(self.options.rehearsal)}
         return head
 
     def _backend_options(self, folder: Path, service: Service | None) -> BackendOptions:
@@ -207,6 +223,8 @@ class Session:
 
     def _planner(self, arm: ArmDescription, calibration: CellCalibration) -> Planner:
         speed = self._config.arm.speed_percent / 100.0
+        if self.options.rehearsal is Rehearsal.AIR:
+            return AirPlanner(arm, calibration, self._config.bin_values(), speed=min(speed, AIR_SPEED))
         return Planner(arm, calibration, self._config.bin_values(), speed=speed)
 
     def _by_ruler(self) -> CellCalibration:
