@@ -15,9 +15,9 @@ from controller.geometry import PlaneMap, wrap
 from controller.vision.morphology import Component
 from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
+from controller.vision.scene import Found
 from controller.vision.stages import classified, margin, run_stages
 from controller.vision.timing import Stopwatch
-from controller.vision.verdict import Found
 
 Floats = NDArray[np.float64]
 

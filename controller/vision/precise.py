@@ -18,8 +18,9 @@ from controller.vision.proposals import Region, propose, split_necks
 from controller.vision.rays import find_edges, radial_profile
 from controller.vision.recipe import Precise
 from controller.vision.refine import pixel_noise
+from controller.vision.scene import Found, Scene
 from controller.vision.timing import Stopwatch
-from controller.vision.verdict import Found, Scene, explained, judge, refined_outlines, settled
+from controller.vision.verdict import explained, judge, refined_outlines, settled
 
 Floats = NDArray[np.float64]
 

@@ -16,17 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from controller.vision.chunks import (
+    PARAMETERS,
+    Batch,
+    batch_of,
+    chunk_ends,
+    chunk_middles,
+    clear_of_corners,
+    side_distance,
+    unpad,
+)
 from controller.vision.local_map import LocalMaps
 from controller.vision.profiles import CHUNKS, Profiles, sample
-from controller.vision.shapes import CIRCLE, Family, area
+from controller.vision.shapes import Family, area
 
 Floats = NDArray[np.float64]
-
-_SHAPE = 8
-"""Parameters of any family, padded: (cx, cy, three sizes, three turns)."""
-_CORNER = 1.6
-"""Samples closer than this many blurs to another side see a rounded corner, not an edge."""
-
 
 _KEPT = 0.9
 """Share of the visible chunks that count for the misfit: a neighbour or a nick may spoil the others."""
@@ -83,68 +87,6 @@ def pixel_noise(image: NDArray[np.uint8]) -> Floats:
     return np.asarray(covariance + np.eye(3) * 0.3)
 
 
-@dataclass(slots=True, eq=False)
-class _Batch:
-    """Outlines being refined; arrays have one row an object."""
-
-    families: list[Family]
-    index: NDArray[np.intp]
-    q: Floats
-    blur: Floats
-    base: Floats
-    size_of: NDArray[np.intp]
-    turn_of: NDArray[np.intp]
-    round_: NDArray[np.bool_]
-    moves: NDArray[np.bool_]
-    group: NDArray[np.intp]
-
-    def geometry(self) -> tuple[Floats, Floats]:
-        """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
-        rows = np.arange(len(self.q))[:, None]
-        turn = self.base + np.where(self.round_[:, None], 0.0, self.q[rows, 5 + self.turn_of])
-        reach = self.q[rows, 2 + self.size_of]
-        return np.stack([np.cos(turn), np.sin(turn)], axis=-1), reach
-
-
-_SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6, 8)}
-
-
-def _pad(family: Family, q: Floats) -> Floats:
-    out = np.zeros(_SHAPE)
-    out[: 2 + family.sizes] = q[: 2 + family.sizes]
-    out[5 : 5 + family.turns] = q[2 + family.sizes :]
-    return out
-
-
-def _unpad(family: Family, q: Floats) -> Floats:
-    return np.concatenate([q[: 2 + family.sizes], q[5 : 5 + family.turns]])
-
-
-def _batch(families: Sequence[Family], qs: Sequence[Floats], index: Sequence[int], blur: float) -> _Batch:
-    count = len(families)
-    base = np.empty((count, CHUNKS))
-    size_of = np.zeros((count, CHUNKS), np.intp)
-    turn_of = np.zeros((count, CHUNKS), np.intp)
-    for i, family in enumerate(families):
-        if family is CIRCLE:
-            base[i] = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
-        else:
-            side = _SIDE[len(family.normals)]
-            base[i], size_of[i], turn_of[i] = family.normals[side], family.size_of[side], family.turn_of[side]
-    return _Batch(
-        list(families),
-        np.asarray(index, np.intp),
-        np.array([_pad(f, q) for f, q in zip(families, qs, strict=True)]),
-        np.full(count, blur),
-        base,
-        size_of,
-        turn_of,
-        np.array([f is CIRCLE for f in families]),
-        np.array([f.moves for f in families]),
-        np.array([CHUNKS if f.sizes == 1 else CHUNKS // len(f.normals) for f in families]),
-    )
-
-
 def refine(
     image: NDArray[np.uint8],
     noise: Floats,
@@ -186,17 +128,17 @@ def refine(
 
 def _moved(family: Family, item: Refined) -> Floats:
     """Parameters after the step that the strays of all chunks ask for, which reach further than the fit does."""
-    batch = _batch([family], [item.q], [0], item.blur)
+    batch = batch_of([family], [item.q], [0], item.blur)
     points = chunk_middles(family, item.q)
     dx, dy = (points[None, :, i, None] - batch.q[0, i] for i in (0, 1))
-    _, jacobian = _distance(batch, dx, dy, np.zeros((1, CHUNKS)))
+    _, jacobian = side_distance(batch, dx, dy, np.zeros((1, CHUNKS)))
     rows = jacobian[0, :, :, 0].T
     use = ~item.blank & (np.abs(item.strays) < 6.0)
     if use.sum() < CHUNKS // 2:
         return item.q
     step = np.linalg.lstsq(rows[use], -item.strays[use], rcond=1e-6)[0]
     # An edge that lies s away was measured with half of it outside the profile's reach.
-    return _unpad(family, batch.q[0] + 1.5 * step)
+    return unpad(family, batch.q[0] + 1.5 * step)
 
 
 def _refine(
@@ -211,7 +153,7 @@ def _refine(
     """One start of `refine`."""
     if not families:
         return []
-    batch = _batch(families, qs, index, blur)
+    batch = batch_of(families, qs, index, blur)
     size = np.array([math.sqrt(max(float(area(f, q[None])[0]), 1.0)) for f, q in zip(families, qs, strict=True)])
     start = batch.q.copy()
     reach = np.minimum(np.maximum(4.5, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
@@ -237,82 +179,17 @@ class _State:
     spacing: Floats
 
 
-def _chunk_ends(batch: _Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]:
-    """Start, end (K, CHUNKS, 2) and outward normal of every chunk, px."""
-    starts = np.empty((len(batch.q), CHUNKS, 2))
-    ends = np.empty_like(starts)
-    for i, family in enumerate(batch.families):
-        q = _unpad(family, batch.q[i])
-        if family is CIRCLE:
-            turn = np.arange(CHUNKS + 1) * 2.0 * math.pi / CHUNKS
-            # Moved out a little, a chord straddles its arc evenly.
-            radius = q[2] * (1.0 + (math.pi / CHUNKS) ** 2 / 3.0)
-            ring = np.stack([q[0] + radius * np.cos(turn), q[1] + radius * np.sin(turn)], axis=1)
-            starts[i], ends[i] = ring[:-1], ring[1:]
-            continue
-        n = len(family.normals)
-        corner = _corners_in_order(family, q)
-        margin = _CORNER * batch.blur[i]
-        side = corner - np.roll(corner, 1, axis=0)
-        length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-6)
-        cut = np.minimum(margin / length, 0.3)
-        pieces = CHUNKS // n
-        t = cut[:, None] + (1.0 - 2.0 * cut[:, None]) * np.linspace(0.0, 1.0, pieces + 1)
-        points = np.roll(corner, 1, axis=0)[:, None] + side[:, None] * t[..., None]
-        starts[i] = points[:, :-1].reshape(-1, 2)
-        ends[i] = points[:, 1:].reshape(-1, 2)
-    normals, _ = batch.geometry()
-    if maps.plane is None:
-        center = maps.centers[batch.index][:, None]
-        return starts + center, ends + center, normals
-    a, b, tip = np.empty_like(starts), np.empty_like(starts), np.empty_like(starts)
-    for i, k in enumerate(batch.index):
-        middle = 0.5 * (starts[i] + ends[i]) + normals[i]
-        mapped = maps.to_pixels(int(k), np.concatenate([starts[i], ends[i], middle]))
-        a[i], b[i], tip[i] = mapped[:CHUNKS], mapped[CHUNKS : 2 * CHUNKS], mapped[2 * CHUNKS :]
-    outward = tip - 0.5 * (a + b)
-    along = b - a
-    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    across *= np.sign(np.sum(across * outward, axis=-1, keepdims=True))
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    return a, b, across
-
-
-def chunk_middles(family: Family, q: Floats) -> Floats:
-    """Middles (CHUNKS, 2) of the chunks of an outline, local coordinates."""
-    if family is CIRCLE:
-        turn = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
-        return np.stack([q[0] + q[2] * np.cos(turn), q[1] + q[2] * np.sin(turn)], axis=1)
-    n = len(family.normals)
-    corner = _corners_in_order(family, q)
-    before = np.roll(corner, 1, axis=0)
-    t = (np.arange(CHUNKS // n) + 0.5) / (CHUNKS // n)
-    return np.asarray((before[:, None] + (corner - before)[:, None] * t[:, None]).reshape(-1, 2))
-
-
-def _corners_in_order(family: Family, q: Floats) -> Floats:
-    """Corner k (S, 2) lies between side k and side k + 1 of the family's own order."""
-    turns = q[2 + family.sizes :][family.turn_of] + family.normals
-    reach = q[2 + family.size_of]
-    following, reach_2 = np.roll(turns, -1), np.roll(reach, -1)
-    det = np.sin(following - turns)
-    det = np.where(np.abs(det) < 1e-6, 1e-6, det)
-    x = (reach * np.sin(following) - reach_2 * np.sin(turns)) / det
-    y = (reach_2 * np.cos(turns) - reach * np.cos(following)) / det
-    return np.stack([q[0] + x, q[1] + y], axis=1)
-
-
 def _rounds(
     image: NDArray[np.uint8],
     noise: Floats,
-    batch: _Batch,
+    batch: Batch,
     maps: LocalMaps,
     size: Floats,
     reach: Floats,
     rounds: int,
 ) -> _State:
     """Sample once, then some Gauss-Newton steps; changes `batch.q` and `batch.blur`."""
-    starts, ends, normals = _chunk_ends(batch, maps)
+    starts, ends, normals = chunk_ends(batch, maps)
     columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
     profiles = sample(image, starts, ends, normals, reach, columns)
     local = _local(profiles, maps, batch.index)
@@ -321,13 +198,13 @@ def _rounds(
     spacing = np.minimum(2.0 * reach / (columns - 1), 1.0)
     lines = np.minimum(np.maximum(chord, 0.25), profiles.lines) * spacing[:, None]
     root = np.sqrt(lines)[..., None]
-    free = (profiles.inside & _clear_of_corners(batch, local)).astype(np.float64)
+    free = (profiles.inside & clear_of_corners(batch, local)).astype(np.float64)
     value, inner = _contrasts(profiles, local, free, noise, size)
     weight = free
     for step in range(rounds + 1):
         dx = local[..., 0] - batch.q[:, None, None, 0]
         dy = local[..., 1] - batch.q[:, None, None, 1]
-        distance, jacobian = _distance(batch, dx, dy, chord)
+        distance, jacobian = side_distance(batch, dx, dy, chord)
         blur = batch.blur[:, None, None]
         z = distance / blur
         unlit = ndtr(z)
@@ -353,14 +230,14 @@ def _rounds(
         # B of every chunk is eliminated: only what is perpendicular to it can move the outline.
         rows -= (np.einsum("kcd,kpcd->kpc", dark, rows) / energy[:, None])[..., None] * dark[:, None]
         target -= (np.einsum("kcd,kcd->kc", dark, target) / energy)[..., None] * dark
-        flat = rows.reshape(len(rows), _SHAPE + 1, -1)
+        flat = rows.reshape(len(rows), PARAMETERS + 1, -1)
         normal = flat @ flat.transpose(0, 2, 1)
         trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-        normal += np.eye(_SHAPE + 1) * (1e-9 * trace + 1e-9)
+        normal += np.eye(PARAMETERS + 1) * (1e-9 * trace + 1e-9)
         change = np.linalg.solve(normal, flat @ target.reshape(len(rows), -1, 1))[..., 0]
         change = np.nan_to_num(change)
-        batch.q += np.clip(change[:, :_SHAPE], -1.5, 1.5)
-        swing = np.clip(change[:, _SHAPE], -0.4 * batch.blur, 0.6 * batch.blur)
+        batch.q += np.clip(change[:, :PARAMETERS], -1.5, 1.5)
+        swing = np.clip(change[:, PARAMETERS], -0.4 * batch.blur, 0.6 * batch.blur)
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
     raise AssertionError("the last round returns")
 
@@ -439,44 +316,7 @@ def _contrasts(
     return np.einsum("kcdi,kci->kcd", relative, direction / length[..., None]), middle
 
 
-def _distance(batch: _Batch, dx: Floats, dy: Floats, chord: Floats) -> tuple[Floats, Floats]:
-    """Signed distance (K, CHUNKS, D) from each sample's own side, and its derivatives (K, 8, CHUNKS, D)."""
-    normal, reach = batch.geometry()
-    n_x = np.broadcast_to(normal[..., 0, None], dx.shape).copy()
-    n_y = np.broadcast_to(normal[..., 1, None], dx.shape).copy()
-    distance = dx * n_x + dy * n_y - reach[..., None]
-    if batch.round_.any():
-        r = batch.round_
-        radius = np.maximum(np.hypot(dx[r], dy[r]), 1e-9)
-        n_x[r], n_y[r] = dx[r] / radius, dy[r] / radius
-        # The mean distance of a chord's points is longer than its middle's.
-        distance[r] = np.sqrt(radius**2 + chord[r][..., None] ** 2 / 12.0) - reach[r][..., None]
-    jacobian = np.zeros((len(dx), _SHAPE, *dx.shape[1:]))
-    moves = batch.moves[:, None, None]
-    jacobian[:, 0], jacobian[:, 1] = -n_x * moves, -n_y * moves
-    turning = np.where(batch.round_[:, None, None], 0.0, dy * n_x - dx * n_y)
-    for i in range(3):
-        jacobian[:, 2 + i] = np.where(batch.size_of == i, -1.0, 0.0)[..., None]
-        jacobian[:, 5 + i] = (batch.turn_of == i)[..., None] * turning
-    return distance, jacobian
-
-
-def _clear_of_corners(batch: _Batch, local: Floats) -> NDArray[np.bool_]:
-    """Samples whose distance to every other side is larger than the blur reaches."""
-    clear = np.ones(local.shape[:3], bool)
-    for i, family in enumerate(batch.families):
-        if family is CIRCLE:
-            continue
-        q = _unpad(family, batch.q[i])
-        turns = q[2 + family.sizes :][family.turn_of] + family.normals
-        planes = (local[i] - q[:2]) @ np.stack([np.cos(turns), np.sin(turns)]) - q[2 + family.size_of]
-        side = _SIDE[len(family.normals)]
-        planes[np.arange(CHUNKS)[:, None], np.arange(local.shape[2])[None], side[:, None]] = -np.inf
-        clear[i] = planes.max(axis=2) < -_CORNER * 0.8 * batch.blur[i]
-    return clear
-
-
-def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: Floats) -> list[Refined | None]:
+def _verdicts(batch: Batch, state: _State, start: Floats, size: Floats, noise: Floats) -> list[Refined | None]:
     """Per object: misfit and visibility from the profiles that remain."""
     stray, information = _strays(replace(state, weight=state.free))
     error = 1.0 / np.maximum(information, 1e-9)
@@ -498,7 +338,7 @@ def _verdicts(batch: _Batch, state: _State, start: Floats, size: Floats, noise: 
     faint = blank | (state.around < 0.1 * contrast[:, None])
     out: list[Refined | None] = []
     for i, family in enumerate(batch.families):
-        q = _unpad(family, batch.q[i])
+        q = unpad(family, batch.q[i])
         if not np.isfinite(q).all() or (q[2 : 2 + family.sizes] <= 0.5).any():
             out.append(None)
             continue

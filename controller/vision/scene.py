@@ -1,0 +1,127 @@
+"""A frame while its outlines are judged: what is known, what was fitted, what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from controller.geometry import PlaneMap
+from controller.vision.background import Whitened
+from controller.vision.fitting import Hypothesis
+from controller.vision.local_map import LocalMaps
+from controller.vision.proposals import Region
+from controller.vision.recipe import Precise
+from controller.vision.refine import Refined
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """One judged outline, in pixels of the frame.
+
+    Attributes:
+        shape: Verdict.
+        score: Confidence in [0, 1].
+        face: ndarray of shape (N, 2), px: the fitted shape's corners (a circle sampled): an object's top face.
+        outline: ndarray of shape (M, 2), px: the outer outline; the face's, unless side faces show as well.
+        center: (2,), px: the outline's centroid.
+        diameter: A circle's diameter, px; None for anything else.
+        flags: As for `Detection`.
+    """
+
+    shape: Shape
+    score: float
+    face: Floats
+    outline: Floats
+    center: Floats
+    diameter: float | None
+    flags: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that is known about a frame when its outlines are judged.
+
+    Attributes:
+        image: ndarray of shape (H, W, 3), dtype uint8.
+        noise: Covariance of its pixel noise, (3, 3).
+        white: The searched image's difference from the table.
+        factor: How many times smaller that is.
+        maps: Local coordinates of every region.
+        regions: The regions.
+        plane: The plane shapes are decided in, or None.
+        settings: The recipe's.
+    """
+
+    image: NDArray[np.uint8]
+    noise: Floats
+    white: Whitened
+    factor: int
+    maps: LocalMaps
+    regions: Sequence[Region]
+    plane: PlaneMap | None
+    settings: Precise
+
+    @property
+    def sides(self) -> bool:
+        """Whether side faces may show: shapes are decided on a plane above the table."""
+        return self.plane is not None and self.plane.height > 0.0
+
+    def strengths(self, outline: Floats, share: float) -> Floats:
+        """Whitened difference from the table (N, 3) at points of the outline shrunk to `share` about its middle."""
+        middle = outline.mean(axis=0)
+        points = ((middle + share * (outline - middle)) - (self.factor - 1) / 2.0) / self.factor
+        rows, columns = self.white.difference.shape[:2]
+        x = np.clip(np.rint(points[:, 0]).astype(np.intp), 0, columns - 1)
+        y = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, rows - 1)
+        return np.asarray(self.white.difference[y, x], np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A refined outline, px, with its misfit over what is allowed and its area in local units."""
+
+    hypothesis: Hypothesis
+    refined: Refined
+    badness: float
+    outline: Floats
+    area: float
+    box: tuple[float, float, float, float]
+
+
+def whole(item: Judged) -> bool:
+    """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
+    return item.badness < 0.3 and item.refined.visible > 0.95 and item.refined.faint.sum() <= 1
+
+
+def sampled(outline: Floats, count: int = 32) -> Floats:
+    """`count` points at equal distances along a closed outline."""
+    side = np.roll(outline, -1, axis=0) - outline
+    length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+    ends = np.cumsum(length)
+    at = (np.arange(count) + 0.5) / count * ends[-1]
+    which = np.searchsorted(ends, at).clip(0, len(outline) - 1)
+    return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
+
+
+def shared(a: Judged, b: Judged) -> float:
+    """`overlap` of two outlines, after a look at their boxes."""
+    (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = a.box, b.box
+    if ax1 < bx0 or bx1 < ax0 or ay1 < by0 or by1 < ay0:
+        return 0.0
+    return overlap(a.outline, b.outline)
+
+
+def overlap(a: Floats, b: Floats) -> float:
+    """Area shared by two convex outlines over the smaller one's."""
+    if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
+        return 0.0
+    pa, pb = a.astype(np.float32), b.astype(np.float32)
+    common, _ = cv2.intersectConvexConvex(pa, pb)
+    return float(common) / max(1.0, min(abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))))
