@@ -10,6 +10,7 @@ import typer
 
 from controller.backends import Level
 from controller.cli.config import default_config
+from controller.cli.evaluate_images import evaluate_pictures
 from controller.cli.evaluate_sim import Job, evaluate_sim
 from controller.config.cell import load_cell
 
@@ -25,6 +26,11 @@ def evaluate(
     sim: Annotated[
         bool, typer.Option("--sim", help="Sort simulated tables and compare with the world's truth.")
     ] = False,
+    images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Look at the pictures of DIR and compare with its annotations.json."),
+    ] = None,
+    recipe: Annotated[str, typer.Option(metavar="precise|paper|FILE", help="How to look at pictures.")] = "precise",
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="How many tables to sort, a seed each.")] = 10,
     parts: Annotated[int, typer.Option(min=1, max=200, help="Parts on each table.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first table.")] = 0,
@@ -41,12 +47,14 @@ def evaluate(
     """Measure accuracy against truth.
 
     Examples: controller evaluate --sim --frames 100 --level dynamic --report evaluation |
-    controller evaluate --sim --compare evaluation/evaluation.json
+    controller evaluate --sim --compare evaluation/evaluation.json | controller evaluate --images photos --report seen
     """
     if context.invoked_subcommand is not None:
         return 0
-    if not sim:
-        raise typer.BadParameter("say what to evaluate: --sim")
+    if sim == (images is not None):
+        raise typer.BadParameter("say what to evaluate: either --sim or --images DIR")
+    if images is not None:
+        return evaluate_pictures(images, recipe, report, as_json)
     cell = load_cell(config or default_config())
     if arm is not None:
         cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm})})
