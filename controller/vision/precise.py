@@ -164,7 +164,7 @@ def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> li
     """
     kept: list[Region] = []
     seen = np.empty((len(regions), 4))
-    limit = 0.5 * shape[0] * shape[1]
+    limit = 0.8 * shape[0] * shape[1]
     for item in regions:
         x, y, w, h = cv2.boundingRect(item.contour)
         if w * h > limit:

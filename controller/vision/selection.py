@@ -58,7 +58,18 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     accepted = _without_octagons(scene, accepted)
     if scene.sides:
         return _without_shadows(scene, accepted)
-    return [item for item in accepted if not _strays(scene, item, accepted)]
+    accepted = [item for item in accepted if not _strays(scene, item, accepted)]
+    typical = float(np.median(blurs)) if blurs else 0.0
+    return [item for item in accepted if not _shadow_strip(scene, item, accepted, typical)]
+
+
+def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: float) -> bool:
+    """Whether an outline is a strip of shadow along a larger object: the table's colour, darker, and softer."""
+    if item.refined.blur < 1.12 * blur or not _shadow_like(scene, item):
+        return False
+    points = [(float(x), float(y)) for x, y in sampled(item.outline)]
+    larger = [other.outline.astype(np.float32) for other in accepted if other.area > item.area]
+    return any(np.mean([cv2.pointPolygonTest(o, point, True) > -4.0 for point in points]) > 0.12 for o in larger)
 
 
 def _without_octagons(scene: Scene, accepted: list[Judged]) -> list[Judged]:
