@@ -108,10 +108,14 @@ class Arm(Protocol):
         """
         ...
 
-    def follow(self, trajectory: Trajectory) -> MoveReport:
+    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
         """Stream a trajectory to the servos; blocks until it has ended and the joints are settled.
 
         It must start where the arm stands. `request_stop` slows it down along its path.
+
+        Args:
+            trajectory: The joints over time.
+            opening: Clear opening (mm) that the empty jaws take on the way; None leaves them as they are.
 
         Raises:
             LimitViolation: The trajectory does not start at the arm's present position; nothing moved.
@@ -245,6 +249,10 @@ class Truth(Protocol):
 
     def at(self, at: float) -> Sequence[TruePart]:
         """Every part as it was at a past time of the cell's clock."""
+        ...
+
+    def tool(self) -> tuple[float, float, float]:
+        """Where the grasp point is now: (x, y, z) in `table`, mm."""
         ...
 
     def collisions(self) -> int:

@@ -113,8 +113,8 @@ class RecordingArm:
         self._raise_due(self._due("state"))
         return self._state()
 
-    def follow(self, trajectory: Trajectory) -> MoveReport:
-        """Record the trajectory and pass through it sample by sample.
+    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+        """Record the trajectory, with what the jaws shall do meanwhile, and pass through it sample by sample.
 
         Raises:
             LimitViolation: It does not start where the arm stands; it is not recorded.
@@ -128,7 +128,10 @@ class RecordingArm:
             duration_s=round(trajectory.duration, 6),
             from_deg=self._degrees(trajectory.positions[0]),
             to_deg=self._degrees(trajectory.positions[-1]),
+            **({} if opening is None else {"opening_mm": round(self._within(opening), 3)}),
         )
+        if opening is not None and not self._stop:
+            self._opening = self._within(opening)
         last = len(trajectory.positions) - 1
         if failure is not None:
             last = int(last * failure.fraction)
@@ -155,8 +158,7 @@ class RecordingArm:
         self._need_torque("grip")
         if not 0.0 < effort <= 1.0:
             raise ValueError(f"effort {effort} is outside (0, 1]")
-        narrowest, widest = self._description.gripper.opening
-        wanted = min(max(opening, narrowest), widest)
+        wanted = self._within(opening)
         self._raise_due(self._begin("grip", opening_mm=round(wanted, 3), effort=round(effort, 3)))
         if self._stop:
             return GripReport(False, False, self._opening, self._load)
@@ -215,6 +217,10 @@ class RecordingArm:
             raise AssertionError("\n".join(["the commands differ", *lines]))
 
     # --- inside ---------------------------------------------------------------------------------------
+
+    def _within(self, opening: float) -> float:
+        narrowest, widest = self._description.gripper.opening
+        return min(max(opening, narrowest), widest)
 
     def _state(self) -> ArmState:
         return ArmState(

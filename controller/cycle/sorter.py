@@ -87,6 +87,7 @@ class Sorter:
         self._others: tuple[LocatedObject, ...] = ()
         self._cycle_started = 0.0
         self._last_motion = 0.0
+        self._retreat: Trajectory | None = None
         self._camera_failures = 0
         self._picks_from_look = 0
         self._plane = rig.calibration.plane(_typical_half_height(rig))
@@ -150,10 +151,14 @@ class Sorter:
 
     def _capture(self) -> str:
         if self._pause.is_set():
+            self._step_back()
             return "held"
         if self._most_parts is not None and self._concluded >= self._most_parts:
             return "stopped"
-        self._cycle_started = self.rig.clock.now()
+        if self._retreat is not None and not self._view_is_clear():
+            self._step_back()
+        if self._retreat is None:
+            self._cycle_started = self.rig.clock.now()
         self._frame = self.rig.camera.capture(self._last_motion, self.rig.config.camera.frame_timeout_s)
         self._camera_failures = 0
         self._picks_from_look = 0
@@ -185,7 +190,13 @@ class Sorter:
         return "located" if self._queue else "emptied"
 
     def _pick(self) -> str:
+        candidates = list(self._queue)
         chosen = self._plan_next()
+        if chosen is None and self._retreat is not None:
+            # From deep in a bin there may be no way where there is one from above it.
+            self._step_back()
+            self._queue = candidates
+            chosen = self._plan_next()
         if chosen is None:
             return "emptied"
         target, plan = chosen
@@ -199,8 +210,8 @@ class Sorter:
         for observer in self.rig.observers:
             observer.attempted(plan, target.attempts)
         self._holding = target
-        self._grip(plan.grasp.opening)
-        self._follow(plan.approach)
+        self._retreat = None
+        self._follow(plan.approach, plan.grasp.opening)
         report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
         self._moved(report.finished)
         refusal = proof.refusal(report, plan.grasp)
@@ -224,7 +235,7 @@ class Sorter:
         self._follow(plan.carry)
         dropped = proof.lost(self.rig.arm.state(), plan.grasp)
         self._grip(plan.grasp.opening)
-        self._follow(plan.retreat)
+        self._retreat = plan.retreat
         self._holding = None
         if dropped is not None:
             target.lost, target.reason = True, dropped
@@ -238,13 +249,14 @@ class Sorter:
             rejected = plan.bin.name == self.rig.config.sorting.otherwise
             self._conclude(target, Result.REJECTED if rejected else Result.PLACED, f"in {plan.bin.name}")
         self.cycle_times.append(self.rig.clock.now() - self._cycle_started)
+        self._cycle_started = self.rig.clock.now()
         self._picks_from_look += 1
         if self._queue and self._picks_from_look < self.rig.config.cycle.picks_per_look and dropped is None:
-            self._cycle_started = self.rig.clock.now()
             return "continued"
         return "placed"
 
     def _idle(self) -> str:
+        self._step_back()
         if self._until_empty:
             return "stopped"
         if self.rig.config.cycle.idle_look_s > 0:
@@ -318,8 +330,18 @@ class Sorter:
 
     # --- motion ---------------------------------------------------------------------------------------
 
-    def _follow(self, trajectory: Trajectory) -> MoveReport:
-        report = self.rig.arm.follow(trajectory)
+    def _view_is_clear(self) -> bool:
+        """Whether the camera sees the work area past the arm as it stands over a bin."""
+        return self.rig.planner.leaves_view_clear(self.rig.arm.state().positions, self._view)
+
+    def _step_back(self) -> None:
+        """Carry out the retreat that is due since the last part was let go, if it is."""
+        if self._retreat is not None:
+            retreat, self._retreat = self._retreat, None
+            self._follow(retreat)
+
+    def _follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+        report = self.rig.arm.follow(trajectory, opening)
         self._moved(report.finished)
         return report
 

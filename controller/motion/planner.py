@@ -181,6 +181,16 @@ class Planner:
         """
         return self.plan_move("park", start, np.array(self.arm.rest))
 
+    def leaves_view_clear(self, start: Array, view: Array) -> bool:
+        """Whether the camera sees all of an outline of the table past the arm as it stands.
+
+        Args:
+            start: ndarray of shape (J,): measured joint angles, rad.
+            view: ndarray of shape (N, 2): outline in `table`, mm.
+        """
+        q = np.asarray(start, np.float64) - self._offsets
+        return not hides(self.arm, q, self._eye, self._flat(view))
+
     def reach_error(self, point: Point, height: float) -> str | None:
         """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
         try:

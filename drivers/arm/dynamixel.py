@@ -19,9 +19,9 @@ from controller.ports import ByteStream, Clock
 from drivers.arm import bring_up
 from drivers.arm.body import Body
 from drivers.arm.bus import Bus, Identity
-from drivers.arm.conversions import angle_from_ticks, ticks_from_angle
+from drivers.arm.conversions import angle_from_opening, angle_from_ticks, ticks_from_angle
 from drivers.arm.following import Follower, check_start, check_trajectory
-from drivers.arm.gripping import move_jaws
+from drivers.arm.gripping import move_jaws, send_jaws
 from drivers.arm.servos import TELEMETRY, read_telemetry_surely
 
 
@@ -164,8 +164,12 @@ class DynamixelArm:
             return latest
         return self._body.state()
 
-    def follow(self, trajectory: Trajectory) -> MoveReport:
+    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
         """Stream a trajectory to the servos; blocks until it has ended and the joints are settled.
+
+        Args:
+            trajectory: Starts where the arm stands.
+            opening: Clear opening (mm) that the empty jaws take on the way; None leaves them alone.
 
         Raises:
             LimitViolation: It does not start where the arm stands, or leaves the joints' limits; nothing moved.
@@ -183,6 +187,10 @@ class DynamixelArm:
             if stop_requested():
                 return MoveReport(False, state, 0.0)
             with body.watched():
+                if opening is not None:
+                    gripper = body.description.gripper
+                    wanted = min(max(opening, gripper.opening[0]), gripper.opening[1])
+                    send_jaws(body, wanted, angle_from_opening(gripper, state.opening))
                 return Follower(body, trajectory, state, stop_requested).run()
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:

@@ -79,6 +79,16 @@ class StopDetector:
         return travel < _STOPPED * self._fastest
 
 
+def send_jaws(body: Body, opening: float, start: float, effort: float = 1.0) -> float:
+    """Send the jaws to a clear opening (mm) from where their servo stands (rad); the servo's goal, rad."""
+    gripper = body.description.gripper
+    goal = angle_from_opening(gripper, opening)
+    opens = opening_sign(gripper) * (goal - start) > 0.0
+    set_register(body.bus, body.gripper, "Goal_PWM", OPENING_PWM if opens else goal_pwm(effort))
+    set_register(body.bus, body.gripper, "Goal_Position", ticks_from_angle(goal))
+    return goal
+
+
 def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopRequested) -> GripReport:
     """Move the jaws until they arrive or stop on something; blocks.
 
@@ -94,16 +104,13 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
         ServoFault: A servo reports a hardware error.
     """
     clock, bus, servo, gripper = body.clock, body.bus, body.gripper, body.description.gripper
-    goal = angle_from_opening(gripper, opening)
     start = angle_from_opening(gripper, body.state("grip").opening)
-    opens = opening_sign(gripper) * (goal - start) > 0.0
-    set_register(bus, servo, "Goal_PWM", OPENING_PWM if opens else goal_pwm(effort))
+    goal = send_jaws(body, opening, start, effort)
     began = tick = clock.now()
     detector = StopDetector(began, start)
     misses = MissCounter(body)
     deadline = began + TIMEOUT + abs(goal - start) / SLOWEST
     stopped_at: float | None = None
-    set_register(bus, servo, "Goal_Position", ticks_from_angle(goal))
     while True:
         tick = body.next_tick(tick, _PERIOD)
         found = body.read("grip")

@@ -131,6 +131,16 @@ class ArmSuite:
         assert arm.follow(quintic(arm.state().positions, start, 1.0)).finished
 
     @pytest.mark.parametrize("opening", [40.0, 70.0])
+    def test_the_jaws_take_their_opening_on_the_way(self, arm_case: ArmCase, opening: float) -> None:
+        arm = arm_case.arm
+        arm.energise()
+        start, end = self._lifted(arm)
+        there = arm.follow(quintic(start, end, 0.8), opening)
+        assert there.finished
+        assert np.abs(there.state.positions - end).max() < STANDS
+        assert abs(there.state.opening - opening) < JAWS
+
+    @pytest.mark.parametrize("opening", [40.0, 70.0])
     def test_grip_moves_the_jaws(self, arm_case: ArmCase, opening: float) -> None:
         arm = arm_case.arm
         arm.energise()

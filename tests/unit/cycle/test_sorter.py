@@ -7,6 +7,7 @@ import pytest
 from controller.cycle.machine import State
 from controller.domain import LocatedObject, Result, Shape
 from controller.errors import ArmError, CameraEnded, CameraLost, LedgerError, MotionTimeout
+from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
 
 S = State
@@ -19,7 +20,7 @@ def test_one_part_walks_through_every_state(monkeypatch: pytest.MonkeyPatch) -> 
     assert bench.states == [S.HOMING, *look, S.PICK, S.PLACE, *look, S.IDLE, S.STOPPED]
     assert bench.results == [Result.PLACED]
     assert bench.commands == [
-        "energise", "home", "grip", "approach", "grip", "carry", "grip", "retreat", "clear_stop", "park", "relax",
+        "energise", "home", "approach", "grip", "carry", "grip", "retreat", "clear_stop", "park", "relax",
     ]  # fmt: skip
     assert sorter.fault is None
     assert sorter.left == 0
@@ -31,7 +32,7 @@ def test_intent_is_on_record_before_motion_and_the_outcome_after(monkeypatch: py
     bench.run()
     order = [what for _, what in bench.ledger.lines]
     assert order.index("home") < order.index("t1/1") < order.index("approach")
-    assert order.index("retreat") < order.index("t1:placed") < order.index("park")
+    assert order.index("carry") < order.index("t1:placed") < order.index("park")
 
 
 def test_every_shape_goes_to_its_bin_and_the_rest_to_the_rejects(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +123,8 @@ def test_a_stop_parks_the_arm_wherever_it_comes(monkeypatch: pytest.MonkeyPatch,
     sorter.run()
     assert bench.states[-1] is S.STOPPED
     assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
-    assert bench.results == ([] if during == "home" else [Result.ABORTED])
+    placed = [Result.PLACED] * 2
+    assert bench.results == {"home": [], "retreat": placed}.get(during, [Result.ABORTED])
     begun = [what for kind, what in bench.ledger.lines if kind == "intend"]
     assert len(begun) == len(bench.results)
 
@@ -196,6 +198,20 @@ def test_the_operator_may_refuse_a_pick(monkeypatch: pytest.MonkeyPatch) -> None
     bench.run()
     assert bench.results == [Result.SKIPPED]
     assert "approach" not in bench.commands
+
+
+def test_the_arm_goes_from_bin_to_part_without_a_detour(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -90), part(0, 90))
+    bench.run()
+    assert bench.commands.count("retreat") == 1
+    assert bench.commands.index("retreat") > max(i for i, name in enumerate(bench.commands) if name == "carry")
+
+
+def test_an_arm_in_the_view_steps_back_before_the_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -90), part(0, 90))
+    monkeypatch.setattr(Planner, "leaves_view_clear", lambda *args: False)
+    bench.run()
+    assert bench.commands.count("retreat") == 2
 
 
 def test_a_full_bin_suspends_its_parts_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
