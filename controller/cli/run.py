@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -16,11 +14,17 @@ from rich.table import Table
 
 from controller.backends import Level, Mode
 from controller.cli.config import default_config
+from controller.cli.interrupts import exit_code, on_interrupt
+from controller.cli.motion import taught_file
 from controller.cli.output import stderr, stdout
 from controller.cli.progress import Progress
 from controller.config.cell import CellConfig, load_cell
+from controller.config.taught import with_taught
+from controller.cycle.rehearsal import Rehearsal
+from controller.cycle.rig import Observer
 from controller.domain import PickPlan
 from controller.errors import ConfigError
+from controller.insight.film import Film
 from controller.insight.report import rows
 from controller.service.session import RunOptions, Session
 
@@ -36,23 +40,41 @@ def run(
     arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,
     calibration: Annotated[Path | None, typer.Option(metavar="DIR", help="Use this calibration.")] = None,
     speed: Annotated[float | None, typer.Option(metavar="PERCENT", min=5, max=100, help="Arm speed.")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="One look; say and write down what the arm would do. It has no torque.")
+    ] = False,
+    air_run: Annotated[
+        bool, typer.Option("--air-run", help="One look; the arm passes above the parts at 25 % speed, its jaws still.")
+    ] = False,
+    bins: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Taught bins (real cell: bins.toml in the state folder)."),
+    ] = None,
     step: Annotated[bool, typer.Option("--step", help="Ask before every pick.")] = False,
     real_time: Annotated[
         bool, typer.Option("--real-time", help="Simulation: world in its own process, bus on a pseudo-terminal.")
     ] = False,
+    video: Annotated[Path | None, typer.Option(metavar="FILE", help="Simulation: film the run into FILE.mp4.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="New folder for the record and the report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
 ) -> int:
     """Sort what lies on the table.
 
     Examples: controller run --sim --parts 8 --seed 7 | controller run --replay photos --config cell.toml |
-    controller run --config cell.toml --start
+    controller run --config cell.toml --start | controller run --config cell.toml --dry-run
 
     Ctrl-C stops the arm along its path, parks it and lets go of the torque.
     """
     mode = _mode(sim, replay, real_time)
+    if video is not None and (mode is not Mode.SIM or real_time):
+        raise typer.BadParameter("--video belongs to --sim, without --real-time")
+    rehearsal = _rehearsal(mode, dry_run, air_run)
     cell = _cell(config, mode, arm, speed)
+    taught = taught_file(bins, sim=mode is not Mode.REAL)
+    if taught is not None:
+        cell = with_taught(cell, taught)
     progress = Progress(stderr())
+    film = Film(video) if video is not None else None
     session = Session(
         RunOptions(
             mode=mode,
@@ -65,19 +87,22 @@ def run(
             level=level,
             real_time=real_time,
             start=start,
-            observers=(progress,),
+            rehearsal=rehearsal,
+            observers=(progress, *([_Intentions(progress.say)] if dry_run else [])),
+            watch=film.watch if film is not None else lambda devices: (),
             confirm=_ask if step else lambda plan: True,
             say=progress.say,
         )
     )
-    with _signals(session) as interrupted, progress:
+    stopping = on_interrupt(session.stop, "stopping: the arm parks; once more gives up waiting")
+    with stopping as received, progress, film or nullcontext():
         figures = session.run()
     if figures:
         if as_json:
             print(json.dumps(figures))
         else:
             _table(figures)
-    return 130 if signal.SIGINT in interrupted else 0
+    return exit_code(received)
 
 
 def _mode(sim: bool, replay: Path | None, real_time: bool) -> Mode:
@@ -86,6 +111,14 @@ def _mode(sim: bool, replay: Path | None, real_time: bool) -> Mode:
     if real_time and not sim:
         raise typer.BadParameter("--real-time belongs to --sim")
     return Mode.SIM if sim else Mode.REPLAY if replay is not None else Mode.REAL
+
+
+def _rehearsal(mode: Mode, dry_run: bool, air_run: bool) -> Rehearsal:
+    if dry_run and air_run:
+        raise typer.BadParameter("--dry-run and --air-run exclude each other")
+    if mode is Mode.REPLAY and (dry_run or air_run):
+        raise typer.BadParameter("--replay moves no arm anyway")
+    return Rehearsal.DRY if dry_run else Rehearsal.AIR if air_run else Rehearsal.NONE
 
 
 def _cell(config: Path | None, mode: Mode, arm: str | None, speed: float | None) -> CellConfig:
@@ -103,29 +136,27 @@ def _cell(config: Path | None, mode: Mode, arm: str | None, speed: float | None)
 
 
 def _ask(plan: PickPlan) -> bool:
+    return typer.confirm(f"pick the {_what(plan)} into {plan.bin.name}?", default=True, err=True)
+
+
+def _what(plan: PickPlan) -> str:
     target = plan.target
-    what = f"{target.detection.label or target.shape} at {target.center[0]:.0f}, {target.center[1]:.0f} mm"
-    return typer.confirm(f"pick the {what} into {plan.bin.name}?", default=True, err=True)
+    return f"{target.detection.label or target.shape} at {target.center[0]:.0f}, {target.center[1]:.0f} mm"
 
 
-@contextmanager
-def _signals(session: Session) -> Iterator[list[int]]:
-    """Ctrl-C and SIGTERM stop the session; a second Ctrl-C gives up waiting for the arm to park."""
-    received: list[int] = []
+class _Intentions(Observer):
+    """Says before every pick what is about to be done."""
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        if len(received) > 1:
-            raise KeyboardInterrupt
-        print("\nstopping: the arm parks; once more gives up waiting", file=sys.stderr)
-        session.stop()
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    def planned(self, plan: PickPlan) -> None:
+        """One line a pick."""
+        grasp, seconds = plan.grasp, sum(move.duration for move in plan.trajectories)
+        self._say(
+            f"would take the {_what(plan)} into {plan.bin.name}: jaws {grasp.opening:.0f} mm along "
+            f"{math.degrees(grasp.direction):.0f} deg, {seconds:.1f} s"
+        )
 
 
 def _table(figures: dict[str, Any]) -> None:
@@ -136,6 +167,8 @@ def _table(figures: dict[str, Any]) -> None:
     console.print(grid)
     if figures.get("correct") is not None:
         console.print(f"{figures['correct']} of {figures['parts']} parts lie in the right bin.")
+    if "rehearsal" in figures:
+        console.print("A rehearsal: nothing was picked, the figures say what the cell meant to do.")
     console.print(f"Report, pictures and ledger: {figures['out']}")
 
 

@@ -129,8 +129,10 @@ class EmptyHanded:
         """The arm's state, its jaws where they pretend to be."""
         return self._pretend(self._arm.state())
 
-    def follow(self, trajectory: Trajectory) -> MoveReport:
-        """Follow the trajectory; blocks, moves metal."""
+    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+        """Follow the trajectory, only pretending to open the jaws on the way (mm); blocks, moves metal."""
+        if opening is not None:
+            self._opening = opening
         return self._arm.follow(trajectory)
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:
