@@ -96,6 +96,11 @@ class SimulatedCell:
         """Where every part was at a past time: exact at captures, within 0.05 s else."""
         return self._truth(*self.world.past(at))
 
+    def tool(self) -> tuple[float, float, float]:
+        """Where the grasp point is now: (x, y, z) in the true `table`, mm."""
+        x, y, z, _ = np.linalg.inv(self.T_base_table) @ self.world.tool_pose()[:, 3]
+        return float(x), float(y), float(z)
+
     def set_aside(self) -> None:
         """Take all parts off the table, e.g. to calibrate."""
         self.world.set_aside()

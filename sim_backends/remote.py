@@ -121,6 +121,11 @@ class RemoteTruth:
         """Every part as it was at a time of the controller's clock."""
         return self._parts({"at": at - self._clock.now() + time.monotonic()})
 
+    def tool(self) -> tuple[float, float, float]:
+        """Where the grasp point is now: (x, y, z) in `table`, mm."""
+        x, y, z = self._connection.ask("tool")[0]["position"]
+        return float(x), float(y), float(z)
+
     def collisions(self) -> int:
         """Touches of the arm with what it should not touch, so far."""
         return int(self._connection.ask("collisions")[0]["count"])

@@ -81,6 +81,10 @@ class ServedCell(Protocol):
         """Every part at a time of the plant."""
         ...
 
+    def tool(self) -> tuple[float, float, float]:
+        """Where the grasp point is: (x, y, z) in `table`, mm."""
+        ...
+
     def collisions(self) -> int:
         """Touches so far."""
         ...
@@ -119,6 +123,7 @@ class PhysicsCell:
         self.packet_loss = self._cell.imperfections.packet_loss
         self.truth = self._cell.truth
         self.truth_at = self._cell.truth_at
+        self.tool = self._cell.tool
         self.portrait = self._cell.overview
         self.set_aside = self._cell.set_aside
         self.scatter = self._cell.scatter
@@ -210,6 +215,10 @@ class Bench:
     def truth_at(self, at: float) -> Sequence[TruePart]:
         """No parts."""
         return ()
+
+    def tool(self) -> tuple[float, float, float]:
+        """There is no arm."""
+        raise DeviceError("arm", "look", "a bench of servos has no arm")
 
     def collisions(self) -> int:
         """None."""

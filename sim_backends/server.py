@@ -153,6 +153,8 @@ class CellServer:
                 at = asked.get("at")
                 parts = line.call(cell.truth if at is None else lambda: cell.truth_at(line.plant_time(float(at))))
                 return {"parts": [part_to_json(part) for part in parts]}, b""
+            case "tool":
+                return {"position": line.call(cell.tool)}, b""
             case "collisions":
                 return {"count": line.call(cell.collisions)}, b""
             case "portrait":

@@ -1,7 +1,7 @@
 """The certificate: where the arm really goes when it is sent somewhere, at places no fit has seen.
 
-The arm is sent to fresh places over the work area, tool down, by the calibrated model. The camera sees the
-marker, and what it lies beside its expected place is what a touch there would miss by.
+The arm is sent to fresh places over the work area, tool down and jaws a few mm over the table, by the calibrated
+model. The camera sees the marker, and what it lies beside its expected place is what a touch there misses by.
 """
 
 from __future__ import annotations
@@ -21,19 +21,27 @@ from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
-from controller.errors import CalibrationPoorFit, PlanError, Unreachable
+from controller.errors import CalibrationPoorFit, CalibrationStale, PlanError, Unreachable
 from controller.geometry import invert
 from controller.motion import kinematics
 from controller.ports import Arm, Camera, Clock
 
 #: Places of a routine check.
 POINTS = 30
+#: The jaw tips stand this far over the table at a touch, mm: more than a calibrated arm misses by in height.
+TOUCH_HEIGHT = 5.0
 #: Held-out places keep this distance from every fitted one, mm: nearer ones would repeat its errors.
 APART = 15.0
 #: A touch misses by at most this in the mean, mm, ...
 MEAN_LIMIT = 0.8
 #: ... and at the 95th percentile.
 P95_LIMIT = 1.5
+PASSED, FAILED = "passed", "failed"
+#: A marker seen this far from its place, mm, in the median of a few looks: camera, base or marker was moved, or
+#: the calibration is another cell's. A calibrated arm comes within 1.5 mm without a correction.
+MOVED_LIMIT = 3.0
+#: Looks before anything comes near the table, and the height of the jaw tips at them, mm.
+FIRST_LOOKS, LOOK_HEIGHT = 3, 60.0
 SETTLE = 0.4
 _DRAWN = 400
 
@@ -43,15 +51,19 @@ class Certificate:
     """What a check found.
 
     Attributes:
-        touch_mm: Where the camera saw the arm against where it was sent.
-        before_mm: The same had the arm been placed by ruler and its joints been taken as mounted.
+        touch_mm: Where the camera saw the arm against where it was sent, after a last correction by its own
+            encoders.
+        moved_mm: The same before that correction: where a move alone ends.
+        before_mm: What a touch would miss by, had the arm been placed by ruler and its joints been taken as
+            mounted: where the calibrated model says it would have ended.
         places: ndarray of shape (N, 2), in `table`, mm.
         errors: ndarray of shape (N, 2), seen minus sent, mm.
-        verdict: `good` or `poor`.
-        calibration_id: Of the arm's calibration.
+        verdict: `passed` or `failed`.
+        calibration_id: Of the arm's calibration, which names lens and table.
     """
 
     touch_mm: Residual
+    moved_mm: Residual
     before_mm: Residual
     places: Array
     errors: Array
@@ -63,6 +75,7 @@ class Certificate:
         plain = files.plain(
             {
                 "touch_mm": self.touch_mm.to_json(),
+                "moved_mm": self.moved_mm.to_json(),
                 "before_mm": self.before_mm.to_json(),
                 "points": len(self.places),
                 "verdict": self.verdict,
@@ -81,6 +94,7 @@ def check_arm(
     camera: Camera,
     clock: Clock,
     move_to: Callable[[Array], None],
+    settle: Callable[[], None],
     *,
     lens: CameraCalibration,
     table: TableCalibration,
@@ -89,7 +103,7 @@ def check_arm(
     seed: int,
     marker: ArmMarker | None = None,
     points: int = POINTS,
-    height: float = 25.0,
+    height: float = TOUCH_HEIGHT,
     radius: tuple[float, float] = (150.0, 260.0),
     azimuth: tuple[float, float] = (math.radians(-50.0), math.radians(50.0)),
     arrived: Callable[[Array], None] = lambda place: None,
@@ -105,6 +119,7 @@ def check_arm(
         clock: The cell's.
         move_to: Brings the joints to wanted angles (J,), the calibrated joint offsets added by the mover; a
             PlanError leaves the place out.
+        settle: Corrects what the encoders still miss of the angles moved to last.
         lens: Of the camera.
         table: Of the camera.
         calibration: What is checked.
@@ -120,15 +135,19 @@ def check_arm(
 
     Raises:
         Unreachable: Too few places can be reached and seen.
-        CalibrationPoorFit: The marker was seen at fewer than half of them.
+        CalibrationStale: The marker is not where this calibration has it: see `MOVED_LIMIT`.
+        CalibrationPoorFit: The marker was seen at fewer than two thirds of them.
     """
     description = arm.description
     view = MarkerView(description, marker or ArmMarker(), lens.camera, table.T_table_camera, calibration.T_base_table)
     straight = Unknowns(invert(calibration.T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
+    if calibration.points:
+        above = _places(view, straight, calibration, FIRST_LOOKS, LOOK_HEIGHT, radius, azimuth, seed)
+        _unmoved(camera, clock, move_to, view, straight, above)
     wanted = _places(view, straight, calibration, points, height, radius, azimuth, seed)
     ruler = Unknowns(invert(T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
     offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in description.joint_names])
-    places, errors, before = [], [], []
+    places, errors, moved, before = [], [], [], []
     for index, q in enumerate(wanted, 1):
         progress(f"place {index} of {len(wanted)}")
         try:
@@ -136,19 +155,20 @@ def check_arm(
         except PlanError as error:
             progress(f"place {index} left out: {error.cause}")
             continue
-        clock.sleep(SETTLE)
-        corners = view.marker.find(camera.capture(clock.now()).image, lens.camera)
+        first = _look(camera, clock, view, straight, q)
+        settle()
+        beside = _look(camera, clock, view, straight, q)
         target = view.tools(straight, q[None])[0]
         arrived(target)
-        if corners is None:
+        if first is None or beside is None:
             continue
-        beside = _seen_beside(view, straight, q, corners)
         places.append(target[:2])
+        moved.append(first)
         errors.append(beside)
         # Sent to the same place by ruler, the encoders read as joints: the calibrated model says where it ends.
         blind = view.tools(Unknowns(straight.T_table_base, straight.T_tool_marker, offsets), q[None])[0]
         before.append(blind[:2] - view.tools(ruler, q[None])[0][:2] + beside)
-    if 2 * len(places) < len(wanted):
+    if 3 * len(places) < 2 * len(wanted):
         raise CalibrationPoorFit(
             f"the marker was seen at only {len(places)} of {len(wanted)} places", "check light and marker; repeat"
         )
@@ -156,12 +176,47 @@ def check_arm(
     good = touch.mean <= MEAN_LIMIT and touch.p95 <= P95_LIMIT
     return Certificate(
         touch,
+        Residual.of(np.linalg.norm(moved, axis=1)),
         Residual.of(np.linalg.norm(before, axis=1)),
         np.array(places),
         np.array(errors),
-        "good" if good else "poor",
+        PASSED if good else FAILED,
         calibration.calibration_id,
     )
+
+
+def _unmoved(
+    camera: Camera,
+    clock: Clock,
+    move_to: Callable[[Array], None],
+    view: MarkerView,
+    unknowns: Unknowns,
+    poses: list[Array],
+) -> None:
+    """Look at the marker well above the table before anything goes down to it.
+
+    Raises:
+        CalibrationStale: It is not seen, or not where it should be.
+    """
+    looks = []
+    for q in poses:
+        move_to(q)
+        looks.append(_look(camera, clock, view, unknowns, q))
+    seen = [float(np.linalg.norm(look)) for look in looks if look is not None]
+    found = f"is seen {np.median(seen):.1f} mm from its place" if seen else "is not seen"
+    if not seen or np.median(seen) > MOVED_LIMIT:
+        raise CalibrationStale(
+            f"the arm's marker {found} (limit {MOVED_LIMIT:g} mm): camera, arm or marker was moved since the "
+            "calibration, or it is another cell's",
+            "calibrate again: controller calibrate table, then controller calibrate arm",
+        )
+
+
+def _look(camera: Camera, clock: Clock, view: MarkerView, unknowns: Unknowns, q: Array) -> Array | None:
+    """How far (2,) beside its place the marker is seen once the arm is still, mm; None when it is not seen."""
+    clock.sleep(SETTLE)
+    corners = view.marker.find(camera.capture(clock.now()).image, view.camera)
+    return None if corners is None else _seen_beside(view, unknowns, q, corners)
 
 
 def _places(

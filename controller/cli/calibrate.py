@@ -1,27 +1,50 @@
-"""`controller calibrate`: lens and table from pictures of a printed board."""
+"""`controller calibrate`: lens and table from pictures of a printed board, the arm from the marker on its gripper."""
 
 from __future__ import annotations
 
 import json
+import secrets
 import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
+from controller.backends import Devices, Level
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration, calibrate_camera
 from controller.calibration.table import calibrate_table
+from controller.cli.config import default_config
+from controller.cli.interrupts import exit_code, on_interrupt
 from controller.cli.output import stdout
-from controller.errors import InputError
+from controller.config.cell import load_cell
+from controller.errors import ConfigError, InputError, SafetyStop
+from controller.service.self_calibration import (
+    CalibrationOptions,
+    calibrate_arm_in,
+    calibrate_camera_and_table,
+    calibrate_cell,
+    check_cell,
+    open_cell,
+)
 from controller.vision.read import read_image
 
-group = typer.Typer(help="Measure lens and table from pictures of a printed board.", no_args_is_help=True)
+group = typer.Typer(help="Measure lens, table and arm, and certify the whole.", no_args_is_help=True)
 
 BoardSpec = Annotated[str, typer.Option(metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the calibration into FILE.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+ConfigFile = Annotated[Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file.")]
+Sim = Annotated[bool, typer.Option("--sim", help="The simulated cell: no hardware is touched.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")]
+LevelOf = Annotated[Level, typer.Option("--level", help="How imperfect the simulated world is.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option("--calibration", metavar="DIR", help="Folder of the calibration (real cell: in its state folder)."),
+]
 
 
 @group.command()
@@ -68,6 +91,115 @@ def table(
     if out is not None:
         made.save(out)
     _report(made.to_json(lens), out, as_json)
+
+
+@group.command()
+def arm(
+    config: ConfigFile = None,
+    sim: Sim = False,
+    seed: Seed = 0,
+    level: LevelOf = Level.DYNAMIC,
+    calibration: Folder = None,
+    as_json: AsJson = False,
+) -> int:
+    """Where the arm stands and how its joints are mounted: it shows the marker on its gripper to the camera.
+
+    Examples: controller calibrate arm --sim --calibration cal | controller calibrate arm --config cell.toml
+
+    Moves the arm. A real cell needs camera.json and table.json in the folder, and an empty table; the simulated
+    cell makes both first. Ctrl-C stops the arm along its path, parks it and lets go of the torque.
+    """
+    options = _options(config, sim, seed, level, calibration)
+    with open_cell(options) as (devices, folder), _stoppable(devices) as received:
+        began = devices.clock.now()
+        with _or_interrupted(received):
+            if devices.presenter is not None:
+                calibrate_camera_and_table(devices, options.config, folder, options.say)
+            made = calibrate_arm_in(devices, options.config, folder, options.say)
+        took = devices.clock.now() - began
+    if received:
+        return exit_code(received)
+    result = {"residual_mm": made.to_json()["residual_mm"], "points": made.points, "sim_s": round(took, 3)}
+    result |= {"calibration_id": made.calibration_id, "calibration": str(folder)}
+    details = {key: made.to_json()[key] for key in ("T_base_table", "joint_offsets", "sigma", "singular_values")}
+    _report(result | details, folder, as_json)
+    return 0
+
+
+@group.command()
+def check(
+    config: ConfigFile = None,
+    sim: Sim = False,
+    seed: Seed = 0,
+    level: LevelOf = Level.DYNAMIC,
+    calibration: Folder = None,
+    points: Annotated[int, typer.Option(min=20, max=200, help="Places to touch.")] = 30,
+    as_json: AsJson = False,
+) -> int:
+    """The certificate: sends the arm to fresh places, at least 15 mm from any it was fitted at, and looks.
+
+    Examples: controller calibrate check --sim --calibration cal | controller calibrate check --config cell.toml
+
+    Moves the arm down to 5 mm over the table, which must be empty. Writes certificate.json and certificate.png into
+    the folder; without one, a simulated cell is calibrated first. Exit code 1 when the verdict is `failed`.
+    """
+    options = _options(config, sim, seed, level, calibration)
+    result: dict[str, Any] = {}
+    with open_cell(options) as (devices, folder), _stoppable(devices) as received, _or_interrupted(received):
+        if sim and calibration is None:
+            calibrate_cell(devices, options.config, folder, options.say)
+        began = devices.clock.now()
+        result = check_cell(devices, options.config, folder, secrets.randbelow(2**31), options.say, points)
+        result["sim_s"] = round(devices.clock.now() - began, 3)
+    if received:
+        return exit_code(received)
+    if as_json:
+        print(json.dumps(result))
+    else:
+        _certificate(result, folder)
+    return 0 if result["verdict"] == "passed" else 1
+
+
+def _options(config: Path | None, sim: bool, seed: int, level: Level, folder: Path | None) -> CalibrationOptions:
+    if config is None and not sim:
+        raise ConfigError(
+            "a real cell needs its configuration", "name it with --config FILE, or try the simulation with --sim"
+        )
+    cell = load_cell(config or default_config())
+    return CalibrationOptions(cell, sim, seed, level, folder, lambda line: print(line, file=sys.stderr))
+
+
+def _stoppable(devices: Devices) -> AbstractContextManager[list[int]]:
+    return on_interrupt(devices.arm.request_stop, "stopping: the arm parks; once more gives up waiting")
+
+
+@contextmanager
+def _or_interrupted(received: list[int]) -> Iterator[None]:
+    """A stop that was asked for is no error."""
+    try:
+        yield
+    except SafetyStop:
+        if not received:
+            raise
+
+
+def _certificate(result: dict[str, Any], folder: Path) -> None:
+    grid = Table("touch error, mm", "mean", "p95", "max", box=None, pad_edge=False)
+    for key, what in _MISSES.items():
+        if key in result:
+            grid.add_row(what, *(f"{result[key][figure]:.2f}" for figure in ("mean", "p95", "max")))
+    stdout().print(grid)
+    mean, p95 = (result["limits_mm"][figure] for figure in ("mean", "p95"))
+    print(f"{result['verdict']} at {result['points']} places (limits: mean {mean:g}, p95 {p95:g} mm)")
+    print(f"Certificate and heat map: {folder}")
+
+
+_MISSES = {
+    "touch_mm": "seen by the camera",
+    "truth_mm": "truth of the simulated world",
+    "moved_mm": "without the last correction",
+    "before_mm": "before calibration, by ruler",
+}
 
 
 def _report(result: dict[str, Any], out: Path | None, as_json: bool) -> None:

@@ -1,29 +1,95 @@
-"""The calibration a cell makes of itself when somebody can show it boards: the simulated world's hands.
+"""Calibrating a cell and certifying it: the procedures, put to work with a set of devices and a folder.
 
-It is the procedure and the code of `controller calibrate`; only the pair of hands differs. First lens and table
-from boards, then the arm's base and joint offsets from the marker on its gripper.
+Lens and table come from boards that somebody shows to the camera: here the simulated world's hands, on a real
+cell a person with `controller calibrate camera` and `table`. The arm's base and joint offsets come from the marker
+on its gripper, and so does the certificate that says what a touch misses by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-from controller.backends import Devices
+import cv2
+import numpy as np
+
+from controller import __version__
+from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
+from controller.calibration import certificate, files
+from controller.calibration.arm import ArmCalibration, Residual
 from controller.calibration.arm_procedure import calibrate_arm
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import calibrate_by_showing
-from controller.calibration.store import load_calibration, save, save_calibration
+from controller.calibration.store import CAMERA, TABLE, load, load_calibration, save, save_calibration
 from controller.calibration.table import TableCalibration
+from controller.calibration.touch_map import touch_map
+from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
-from controller.domain import Array, CellCalibration
-from controller.errors import SafetyStop
+from controller.domain import Array, CellCalibration, Trajectory
+from controller.errors import ArmError, CalibrationMissing, SafetyStop
+from controller.motion import dynamics
 from controller.motion.planner import Planner
+from controller.ports import Arm
+from controller.service.folders import new_run_folder, state_folder
+from controller.service.lock import InstanceLock
+
+Say = Callable[[str], None]
+
+CERTIFICATE, MAP = "certificate.json", "certificate.png"
+_CORRECTIONS = 3
+_CLOSE = 0.0008  # rad: half an encoder tick of 0.088 degrees
+_LARGEST_CORRECTION = 0.02  # rad: a joint further off is hindered, and pushing harder would not help
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationOptions:
+    """What the command line asks of a calibration.
+
+    Attributes:
+        config: The cell.
+        sim: The simulated cell instead of the real one.
+        seed, level: Of the simulated cell.
+        folder: Where the calibration is kept; None: a real cell's own place, or a new folder for a simulated one.
+        say: Takes lines for people.
+    """
+
+    config: CellConfig
+    sim: bool = False
+    seed: int = 0
+    level: Level = Level.DYNAMIC
+    folder: Path | None = None
+    say: Say = lambda line: None
+
+
+@contextmanager
+def open_cell(options: CalibrationOptions) -> Iterator[tuple[Devices, Path]]:
+    """Take the cell's lock and open its devices, the simulated table empty; yields them and the calibration's folder.
+
+    Raises:
+        InstanceBusy: The service or another command has the cell.
+        DeviceError: A device is not there or not in order.
+    """
+    description = load_arm(options.config.arm.description)
+    with ExitStack() as stack:
+        folder = options.folder
+        if not options.sim:
+            stack.enter_context(InstanceLock(state_folder()))
+            folder = folder or state_folder() / "calibration"
+        backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level)
+        devices = DEVICES[Mode.SIM if options.sim else Mode.REAL](options.config, description, backend)
+        stack.callback(devices.close)
+        devices.clear_table()
+        devices.open()
+        yield devices, folder or new_run_folder(None, datetime.now()) / "calibration"
 
 
 def calibrate_camera_and_table(
-    devices: Devices, config: CellConfig, folder: Path, progress: Callable[[str], None]
+    devices: Devices, config: CellConfig, folder: Path, progress: Say
 ) -> tuple[CameraCalibration, TableCalibration]:
     """Measure lens and table from boards shown to the camera, and keep them in `folder`; the arm by ruler.
 
@@ -36,45 +102,205 @@ def calibrate_camera_and_table(
     assert devices.presenter is not None
     board = parse_board(config.table.board)
     lens, table = calibrate_by_showing(devices.camera, devices.presenter, board, devices.clock, progress=progress)
-    save_calibration(folder, lens, table, config.table.T_base_table(), arm=devices.arm.description.name)
+    name = devices.arm.description.name
+    save_calibration(folder, lens, table, config.table.T_base_table(), arm=name, provenance=_provenance(config))
     return lens, table
 
 
-def calibrate_cell(
-    devices: Devices, config: CellConfig, folder: Path, progress: Callable[[str], None]
-) -> CellCalibration:
-    """Measure lens, table and arm, and keep the calibration in `folder`.
+def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progress: Say) -> ArmCalibration:
+    """Measure where the arm stands and how its joints are mounted, with the lens and table of `folder`; keep it there.
 
     Blocks; moves metal: the arm shows its marker to the camera, parks and is relaxed. The table must be empty.
 
     Raises:
-        CalibrationPoorFit: The views do not determine the lens, the table or the arm.
-        SafetyStop: A stop was requested in a move; the arm holds still.
-        CameraError, ArmError: A device failed.
+        CalibrationMissing: There is no lens or table in the folder.
+        CalibrationStale: The table was measured with another lens.
+        CalibrationPoorFit: The looks do not determine the arm.
+        SafetyStop: A stop was requested in a move; the arm was parked.
+        CameraError, ArmError: A device failed; the arm holds still.
     """
-    lens, table = calibrate_camera_and_table(devices, config, folder, progress)
-    arm, bins = devices.arm, config.bin_values()
-    planner = Planner(arm.description, load_calibration(folder), bins, speed=config.arm.speed_percent / 100.0)
-
-    def move_to(pose: Array) -> None:
-        if not arm.follow(planner.plan_move("calibrate", arm.state().positions, pose)).finished:
-            raise SafetyStop("stopped while calibrating", "start again")
-
-    arm.energise()
-    made = calibrate_arm(
-        arm,
-        devices.camera,
-        devices.clock,
-        move_to,
-        lens=lens,
-        table=table,
-        T_base_table=config.table.T_base_table(),
-        progress=progress,
-    )
-    save(folder, arm=made)
-    calibrated = load_calibration(folder)
-    home = Planner(arm.description, calibrated, bins, speed=config.arm.speed_percent / 100.0)
-    arm.follow(home.park(arm.state().positions))
-    arm.relax()
+    # The arm's own file is not asked: it may belong to the table that was just measured anew.
+    lens = CameraCalibration.load(folder / CAMERA)
+    table = TableCalibration.load(folder / TABLE, lens)
+    by_ruler = CellCalibration("by ruler", lens.camera, table.T_table_camera, config.table.T_base_table())
+    with _at_work(devices.arm, config, by_ruler) as mover:
+        made = calibrate_arm(
+            devices.arm,
+            devices.camera,
+            devices.clock,
+            mover.to,
+            lens=lens,
+            table=table,
+            T_base_table=config.table.T_base_table(),
+            progress=progress,
+        )
+        save(folder, arm=made, provenance=_provenance(config))
+        mover.planner = _planner(devices.arm, config, load_calibration(folder))
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
-    return calibrated
+    return made
+
+
+def calibrate_cell(devices: Devices, config: CellConfig, folder: Path, progress: Say) -> CellCalibration:
+    """Measure lens, table and arm, and keep the calibration in `folder`; see the two steps."""
+    calibrate_camera_and_table(devices, config, folder, progress)
+    calibrate_arm_in(devices, config, folder, progress)
+    return load_calibration(folder)
+
+
+def check_cell(
+    devices: Devices, config: CellConfig, folder: Path, seed: int, progress: Say, points: int = certificate.POINTS
+) -> dict[str, Any]:
+    """Send the arm to places no fit has seen, write down what it misses by, and return the certificate.
+
+    Blocks; moves metal: the jaws come near the table, which must be empty; then the arm parks and is relaxed.
+
+    Args:
+        devices: Open.
+        config: The cell.
+        folder: Of the calibration; `certificate.json` and its picture are written beside it.
+        seed: Of the places.
+        progress: Takes lines for people.
+        points: Number of places.
+
+    Raises:
+        CalibrationMissing: The arm was not calibrated.
+        CalibrationStale: The files belong to other devices or not together, or something was moved since.
+        CalibrationPoorFit: The camera saw the marker too seldom.
+        SafetyStop: A stop was requested in a move; the arm was parked.
+        CameraError, ArmError: A device failed; the arm holds still.
+    """
+    stored = load(folder)
+    stored.check(arm=devices.arm.description.name, devices=_devices(config))
+    if stored.arm is None or not stored.arm.points:
+        raise CalibrationMissing("the arm was placed by ruler only", "run `controller calibrate arm` first")
+    missed: list[Array] = []
+
+    def compare(place: Array) -> None:
+        if devices.truth is not None:
+            missed.append(np.array(devices.truth.tool()) - place)
+
+    area = config.table.work_area
+    with _at_work(devices.arm, config, stored.cell()) as mover:
+        found = certificate.check_arm(
+            devices.arm,
+            devices.camera,
+            devices.clock,
+            mover.to,
+            mover.settle,
+            lens=stored.camera,
+            table=stored.table,
+            calibration=stored.arm,
+            T_base_table=config.table.T_base_table(),
+            seed=seed,
+            points=points,
+            radius=(area.inner_radius_mm, area.outer_radius_mm),
+            azimuth=(float(np.radians(area.azimuth_deg[0])), float(np.radians(area.azimuth_deg[1]))),
+            arrived=compare,
+            progress=progress,
+        )
+    content = found.to_json()
+    if missed:
+        beside = np.array(missed)
+        content["truth_mm"] = _rounded(Residual.of(np.linalg.norm(beside[:, :2], axis=1)))
+        content["truth_height_mm"] = _rounded(Residual.of(np.abs(beside[:, 2])))
+    content |= {
+        "limits_mm": {"mean": certificate.MEAN_LIMIT, "p95": certificate.P95_LIMIT},
+        "places_seed": seed,
+        "camera_id": stored.camera.calibration_id,
+        "table_id": stored.table.calibration_id,
+        "arm": devices.arm.description.name,
+        **_provenance(config),
+    }
+    files.write(folder / CERTIFICATE, content)
+    picture = touch_map(found, config.work_area_outline(stored.arm.T_base_table), content["made_at"])
+    cv2.imwrite(str(folder / MAP), picture)
+    return content
+
+
+# --- at work --------------------------------------------------------------------------------------------
+
+
+class _Mover:
+    """Moves one arm by a plan, and corrects where a move ends."""
+
+    def __init__(self, arm: Arm, planner: Planner) -> None:
+        self.arm = arm
+        self.planner = planner
+        self._last: Trajectory | None = None
+
+    def to(self, pose: Array) -> None:
+        """Bring the joints to angles (J,) of the model, about along the straight joint line. Moves metal."""
+        move = self.planner.plan_move("calibrate", self.arm.state().positions, pose)
+        self._follow(move)
+        self._last = move
+
+    def settle(self) -> None:
+        """Shift the goals by what the encoders still miss of the last move's end. Moves metal by less than a degree.
+
+        A servo holds a load by standing off its goal; the model foresees most of that, friction and the true
+        weights of the links leave 0.2 degrees.
+        """
+        assert self._last is not None
+        offsets = dynamics.joint_offsets(self.arm.description, self.planner.calibration.joint_offsets)
+        pose = self._last.positions[-1]
+        told = np.array(self._last.goals[-1])
+        goals = told.copy()
+        for _ in range(_CORRECTIONS):
+            off = pose + offsets - self.arm.state().positions
+            if np.abs(off).max() < _CLOSE:
+                return
+            goals = np.clip(goals + off, told - _LARGEST_CORRECTION, told + _LARGEST_CORRECTION)
+            self._follow(Trajectory("settle", self._last.period, np.array([pose, pose]), np.array([goals, goals])))
+
+    def _follow(self, move: Trajectory) -> None:
+        if not self.arm.follow(move).finished:
+            raise SafetyStop("stopped on request", "start again")
+
+
+@contextmanager
+def _at_work(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Iterator[_Mover]:
+    """Energise the arm, and in the end park it and let go; after a failure of the arm it holds still."""
+    arm.energise()
+    mover = _Mover(arm, _planner(arm, config, calibration))
+    try:
+        yield mover
+    except ArmError:
+        raise
+    except BaseException:
+        arm.clear_stop()
+        _park(mover)
+        raise
+    _park(mover)
+
+
+def _park(mover: _Mover) -> None:
+    if mover.arm.follow(mover.planner.park(mover.arm.state().positions)).finished:
+        mover.arm.relax()
+
+
+def _planner(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Planner:
+    return Planner(arm.description, calibration, config.bin_values(), speed=config.arm.speed_percent / 100.0)
+
+
+# --- notes ----------------------------------------------------------------------------------------------
+
+
+def _devices(config: CellConfig) -> Mapping[str, str]:
+    """What must be the same at work as at the calibration: the devices by their serial numbers, where they have any."""
+    return {"camera": _by_serial(config.camera.device), "port": _by_serial(config.arm.port)}
+
+
+def _by_serial(device: str) -> str:
+    """The link that the system names after a device's maker and serial number; the device itself without one."""
+    target = Path(device).resolve()
+    links = sorted((*Path("/dev/v4l/by-id").glob("*"), *Path("/dev/serial/by-id").glob("*")))
+    return next((link.name for link in links if link.resolve() == target), device)
+
+
+def _provenance(config: CellConfig) -> dict[str, str]:
+    made_at = datetime.now().astimezone().isoformat(timespec="seconds")
+    return {"made_at": made_at, "software": f"controller {__version__}", **_devices(config)}
+
+
+def _rounded(figures: Residual) -> dict[str, float]:
+    return {name: round(value, 4) for name, value in figures.to_json().items()}
