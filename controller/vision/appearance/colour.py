@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +34,8 @@ _APART = 0.10
 """... and differs by this much in a and b together: shading changes lightness and chroma, never hue and neutrality."""
 _APART_LIGHTNESS = 0.35
 """... or by this much in lightness between unsaturated colours: no shading on one face is that deep."""
+_UNSATURATED = 0.05
+"""Chroma below which a colour is a gray."""
 _BRIGHT_TABLE = 0.08
 """Luminance from which a table may be taken for gray: below, noise decides its colour."""
 
@@ -73,13 +74,14 @@ def measure(image: Image, patches: Sequence[Patch], settings: Appearance) -> lis
     """
     if not patches:
         return []
-    samples = [_samples(patch) for patch in patches]
-    gains = balance(image, patches, settings)
-    counts = [len(sample) for sample in samples]
-    light = linear(np.concatenate(samples)) * np.repeat(gains, counts, axis=0)
-    lab = oklab(light)
-    ends = np.cumsum(counts)
-    return [_colour(lab[end - count : end]) for end, count in zip(ends, counts, strict=True)]
+    samples = np.stack([_samples(patch) for patch in patches])
+    lab = oklab(linear(samples) * balance(image, patches, settings)[:, None])
+    centers = np.median(lab, axis=1)
+    names = [name_of(center) for center in centers]
+    whole = [Colour(name, _triple(center), far) for (name, far), center in zip(names, centers, strict=True)]
+    for k, upper in _two_toned(lab):
+        whole[k] = _split(lab[k], upper) or whole[k]
+    return whole
 
 
 def balance(image: Image, patches: Sequence[Patch], settings: Appearance) -> Floats32:
@@ -145,65 +147,59 @@ def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32,
 
 
 def _samples(patch: Patch) -> NDArray[np.uint8]:
-    """Up to SAMPLES pixels (n, 3) of the material, spread evenly, without glare unless there is little else."""
-    at = np.flatnonzero(patch.material)
-    pixels = patch.image.reshape(-1, 3) if patch.image.flags.c_contiguous else None
-    if len(at) > SAMPLES:
-        at = at[np.linspace(0, len(at) - 1, SAMPLES).astype(np.intp)]
-    if pixels is None:
-        rows, columns = np.divmod(at, patch.material.shape[1])
-        values = patch.image[rows, columns]
-    else:
-        values = pixels[at]
-    matt = values.min(axis=1) < _GLARE
-    return values[matt] if 2 * np.count_nonzero(matt) >= len(values) else values
+    """SAMPLES pixels (n, 3) of the material, spread evenly, without glare unless there is little else."""
+    rows, columns = np.divmod(_spread(np.flatnonzero(patch.material)), patch.material.shape[1])
+    values = patch.image[rows, columns]
+    matt = np.flatnonzero((values[:, 0] < _GLARE) | (values[:, 1] < _GLARE) | (values[:, 2] < _GLARE))
+    return values if len(matt) == SAMPLES or 2 * len(matt) < SAMPLES else values[_spread(matt)]
 
 
-def _colour(lab: Floats32) -> Colour:
-    """The colour of a part from its pixels (n, 3) in OKLab."""
-    center = np.median(lab, axis=0)
-    split = _split(lab)
-    if split is None:
-        name, distance = name_of(center)
-        return Colour(name, _triple(center), distance)
-    first, second, share = split
-    name, distance = name_of(first)
-    other, _ = name_of(second)
-    if other == name:
-        whole, apart = name_of(center)
-        return Colour(whole, _triple(center), apart)
-    return Colour(name, _triple(first), distance, other, _triple(second), share)
+def _spread(values: NDArray[np.intp]) -> NDArray[np.intp]:
+    """SAMPLES of the values, evenly spread; some more than once where there are fewer."""
+    return values[np.arange(SAMPLES) * len(values) // SAMPLES]
 
 
-def _split(lab: Floats32) -> tuple[Floats32, Floats32, float] | None:
-    """Centres of the two colours of a part, the larger first, and the share of the other; None for one colour."""
-    if len(lab) < 24:
-        return None
-    mean, axes, spreads = cv2.PCACompute2(lab, mean=np.empty(0))
-    # A single colour, noise and shading included, spreads less than two that could be told apart.
-    if float(spreads[0, 0]) < (_SECOND_SHARE * (1.0 - _SECOND_SHARE)) * _APART**2:
-        return None
-    along = (lab - mean) @ axes[0]
-    cut = float(along.mean())
+def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
+    """Which parts (N, SAMPLES, 3) may have two colours, and which of their samples are on one side of the divide."""
+    rest = lab - lab.mean(axis=1, keepdims=True)
+    spreads, axes = np.linalg.eigh(rest.transpose(0, 2, 1) @ rest / SAMPLES)
+    # One colour, noise and shading included, spreads less than two that could be told apart.
+    chosen = np.flatnonzero(spreads[:, 2] > _SECOND_SHARE * (1.0 - _SECOND_SHARE) * _APART**2)
+    if not len(chosen):
+        return []
+    along = (rest[chosen] @ axes[chosen][:, :, 2:])[:, :, 0]
+    cut = np.zeros((len(chosen), 1), np.float32)
     for _ in range(6):
         upper = along > cut
-        cut = 0.5 * (float(along[upper].mean()) + float(along[~upper].mean()))
+        count = np.count_nonzero(upper, axis=1)[:, None]
+        above = (along * upper).sum(axis=1, keepdims=True)
+        below = along.sum(axis=1, keepdims=True) - above
+        cut = 0.5 * (above / np.maximum(count, 1) + below / np.maximum(SAMPLES - count, 1))
     upper = along > cut
+    return list(zip((int(k) for k in chosen), upper, strict=True))
+
+
+def _split(lab: Floats32, upper: NDArray[np.bool_]) -> Colour | None:
+    """The colours of the two groups of a part's samples (n, 3), or None when they are one paint in two lights."""
     share = float(np.count_nonzero(upper)) / len(lab)
     if not _SECOND_SHARE <= share <= 1.0 - _SECOND_SHARE:
         return None
     a, b = np.median(lab[upper], axis=0), np.median(lab[~upper], axis=0)
-    gap = b - a
-    chroma_a, chroma_b = math.hypot(a[1], a[2]), math.hypot(b[1], b[2])
-    # Shading scales a colour: what is left of the difference after the best scaling is a difference of paint.
-    scale = float(a @ b) / max(float(a @ a), 1e-6)
-    paint = math.hypot(*(b - scale * a)[1:])
-    unsaturated = max(chroma_a, chroma_b) < 0.05
-    if paint < 0.5 * _APART and not (unsaturated and abs(float(gap[0])) > _APART_LIGHTNESS):
+    if share < 0.5:
+        a, b, share = b, a, 1.0 - share
+    unsaturated = max(math.hypot(a[1], a[2]), math.hypot(b[1], b[2])) < _UNSATURATED
+    if unsaturated:
+        if abs(float(b[0] - a[0])) < _APART_LIGHTNESS:
+            return None
+    else:
+        # Shading scales a colour: what the best scaling leaves of the difference is a difference of paint.
+        paint = b - float(a @ b) / max(float(a @ a), 1e-6) * a
+        if math.hypot(paint[1], paint[2]) < 0.5 * _APART or math.dist(a[1:], b[1:]) < _APART:
+            return None
+    (name, distance), (other, _) = name_of(a), name_of(b)
+    if other == name:
         return None
-    if math.hypot(float(gap[1]), float(gap[2])) < _APART and not unsaturated:
-        return None
-    return (a, b, 1.0 - share) if share >= 0.5 else (b, a, share)
+    return Colour(name, _triple(a), distance, other, _triple(b), 1.0 - share)
 
 
 def _triple(values: Floats32) -> tuple[float, float, float]:

@@ -12,12 +12,14 @@ with local binary patterns", IEEE Trans. PAMI 24(7), 2002; structure tensor: Big
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.appearance.naming import Namer, load
 from controller.vision.appearance.tiles import SIDE, Tiles
 
 Floats32 = NDArray[np.float32]
@@ -46,17 +48,18 @@ def descriptors(surface: Tiles) -> Floats32:
     deep[:, [0, -1]] = 0.0
     deep[:, :, [0, -1]] = 0.0
     deep_weight = np.maximum(deep.sum(axis=(1, 2)), 1.0)
-    total = np.sqrt((shades**2 * inside).sum(axis=(1, 2)) / weight)
+    total = np.sqrt((shades * shades).sum(axis=(1, 2)) / weight)
     columns = [np.log(total + FLOOR)]
     blurred = [tall]
     for sigma in BANDS:
         blurred.append(np.asarray(cv2.GaussianBlur(tall, (0, 0), sigma), np.float32))
     for fine, coarse in zip(blurred, blurred[1:], strict=False):
         band = (fine - coarse).reshape(shades.shape)
-        columns.append(np.log(np.sqrt((band**2 * deep).sum(axis=(1, 2)) / deep_weight) + FLOOR))
+        columns.append(np.log(np.sqrt((band * band * deep).sum(axis=(1, 2)) / deep_weight) + FLOOR))
     unit = shades / (total + FLOOR)[:, None, None] * inside
-    columns.append((unit**3).sum(axis=(1, 2)) / weight)
-    columns.append(np.log1p((unit**4).sum(axis=(1, 2)) / weight))
+    square = unit * unit
+    columns.append((square * unit).sum(axis=(1, 2)) / weight)
+    columns.append(np.log1p((square * square).sum(axis=(1, 2)) / weight))
     for level in (1, 2, 3):
         columns += _agreement(blurred[level].reshape(shades.shape), deep)
     own = np.arange(count)[:, None, None] * _PATTERNS
@@ -77,7 +80,7 @@ def _shades(image: NDArray[np.uint8], inside: Floats32) -> Floats32:
     weight = np.maximum(inside.sum(axis=(1, 2)), 1.0)
     values = image.reshape(len(image), -1, 3).astype(np.float32) / 255.0
     keep = inside.reshape(len(image), -1)
-    mean = np.einsum("npc,np->nc", values, keep) / weight[:, None]
+    mean = (keep[:, None, :] @ values)[:, 0] / weight[:, None]
     rest = (values - mean[:, None]) * keep[:, :, None]
     covariance = rest.transpose(0, 2, 1) @ rest / weight[:, None, None]
     _, axes = np.linalg.eigh(covariance)
@@ -89,7 +92,7 @@ def _shades(image: NDArray[np.uint8], inside: Floats32) -> Floats32:
     normal = weighted @ basis.T + 1e-3 * np.eye(3, dtype=np.float32)
     plane = np.linalg.solve(normal, weighted @ along[:, :, None])[:, :, 0]
     along = (along - plane @ basis) * keep
-    skew = (along**3).sum(axis=1)
+    skew = (along * along * along).sum(axis=1)
     return np.asarray((along * np.where(skew < 0.0, -1.0, 1.0)[:, None]).reshape(inside.shape), np.float32)
 
 
@@ -146,3 +149,23 @@ def _patterns(base: Floats32, radius: float, total: Floats32, count: int) -> NDA
         changes = changes + (a ^ b)
     codes = np.where(changes <= 2, ones, 9)
     return codes.reshape(count, SIDE, SIDE).astype(np.intp)
+
+
+SHIPPED = Path(__file__).with_name("textures.npz")
+_DOUBT = -0.15
+"""Below this best score a texture is none of the known ones."""
+
+
+@cache
+def _namer() -> Namer:
+    return load(SHIPPED)
+
+
+def names_of(values: Floats32) -> list[str | None]:
+    """Names of textures (N, LENGTH); None where none fits."""
+    if not len(values):
+        return []
+    namer = _namer()
+    scores = namer.scores(values)
+    best = scores.argmax(axis=1)
+    return [namer.names[k] if row[k] > _DOUBT else None for row, k in zip(scores, best, strict=True)]

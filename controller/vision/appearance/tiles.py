@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from controller.vision.appearance.patch import Patch
 
-SIDE = 48
+SIDE = 32
 WINDOW = 1.3
 """A square's half diagonal lies 0.71, a circle's radius 0.56 roots of its area from the middle."""
 
