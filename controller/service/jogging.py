@@ -151,7 +151,8 @@ def parse(line: str, joints: int) -> Command:
         return Command("set", name=rest.strip())
     if word == "jaws":
         with contextlib.suppress(ValueError):
-            return Command("jaws", amount=float(rest))
+            if math.isfinite(opening := float(rest)):
+                return Command("jaws", amount=opening)
     found = _STEP.fullmatch(text.lower())
     if found is None or found["amount"] == ".":
         raise InputError(f"{text!r} is no command", f"use {_GRAMMAR}")
