@@ -184,7 +184,7 @@ class Sorter:
         look = Look(self._frame, self._detected.detections, tuple(named), found.refused)
         for observer in self.rig.observers:
             observer.looked(look)
-        self._others = tuple(named)
+        self._others = (*named, *found.in_the_way)
         self._queue = self._candidates(named)
         self.left = len(named) + len(found.refused)
         return "located" if self._queue else "emptied"
@@ -211,12 +211,13 @@ class Sorter:
             observer.attempted(plan, target.attempts)
         self._holding = target
         self._retreat = None
-        self._follow(plan.approach, plan.grasp.opening)
-        report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
-        self._moved(report.finished)
-        refusal = proof.refusal(report, plan.grasp)
+        refusal = proof.obstruction(self._follow(plan.approach, plan.grasp.opening))
         if refusal is None:
-            return "picked"
+            report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
+            self._moved(report.finished)
+            refusal = proof.refusal(report, plan.grasp)
+            if refusal is None:
+                return "picked"
         self._holding = None
         target.reason = refusal
         for observer in self.rig.observers:

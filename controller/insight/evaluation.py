@@ -81,7 +81,7 @@ def summary(head: Mapping[str, Any], records: Sequence[Record]) -> dict[str, Any
             "located": len(seen),
             "missed": sum(len(run["missed"]) for run in runs),
             "false": sum(run["false"] for run in runs),
-            "refused": sum(run["refused"] for run in runs),
+            "refused": sum(len(run["refused"]) for run in runs),
         },
         "localization_error_mm": spread([math.hypot(i["dx"], i["dy"]) for i in seen], ("mean", "median", "p95", "max")),
         "orientation_error_deg": spread(angles, ("mean", "median", "p95", "max")),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 from controller.backends import Devices
 from controller.cycle.machine import State
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, ArmState, Frame, GripReport, MoveReport, Trajectory
+from controller.domain import Trajectory
 from controller.ports import Arm, Camera, Clock
 
 
@@ -18,7 +19,7 @@ class Span:
     """Something that took time.
 
     Attributes:
-        lane: `state`, `camera`, `arm`, `gripper` or `computing`.
+        lane: `state`, `camera`, `computing`, `arm` or `gripper`.
         name: What it was.
         begin, end: s of the cell's clock.
     """
@@ -39,13 +40,16 @@ class Timeline(Observer):
 
     spans: list[Span] = field(default_factory=list)
     _state: tuple[State, float] | None = None
+    _wanted_opening: float = 0.0
 
     def watch(self, devices: Devices) -> None:
         """Put a watcher before camera, arm and clock."""
         now = devices.clock.now
-        devices.camera = _WatchedCamera(devices.camera, self, now)
-        devices.arm = _WatchedArm(devices.arm, self, now)
-        devices.clock = _WatchedClock(devices.clock, self)
+        self._wanted_opening = devices.arm.description.gripper.opening[1]
+        lanes = {"follow": ("arm", self._move), "grip": ("gripper", self._grip)}
+        devices.camera = cast(Camera, _Watched(devices.camera, self, now, {"capture": ("camera", _frame)}))
+        devices.arm = cast(Arm, _Watched(devices.arm, self, now, lanes))
+        devices.clock = cast(Clock, _Watched(devices.clock, self, now, {"charge": ("computing", _charge)}))
 
     def entered(self, state: State, at: float) -> None:
         """The state before has ended."""
@@ -60,80 +64,51 @@ class Timeline(Observer):
         yield
         self.spans.append(Span(lane, name, begin, now()))
 
+    def _move(self, trajectory: Trajectory, opening: float | None = None, *rest: Any, **options: Any) -> str:
+        if opening is not None:
+            self._wanted_opening = opening
+        return trajectory.name
 
-class _WatchedClock:
-    """Behaves as the clock behind it."""
-
-    def __init__(self, clock: Clock, timeline: Timeline) -> None:
-        self._clock, self._timeline = clock, timeline
-
-    def now(self) -> float:
-        return self._clock.now()
-
-    def sleep(self, seconds: float) -> None:
-        self._clock.sleep(seconds)
-
-    def charge(self, seconds: float) -> None:
-        with self._timeline.noting("computing", f"{1e3 * seconds:.0f} ms", self.now):
-            self._clock.charge(seconds)
+    def _grip(self, opening: float, *rest: Any, **options: Any) -> str:
+        before, self._wanted_opening = self._wanted_opening, opening
+        return "close" if opening < before else "open"
 
 
-class _WatchedCamera:
-    """Behaves as the camera behind it."""
-
-    def __init__(self, camera: Camera, timeline: Timeline, now: Callable[[], float]) -> None:
-        self._camera, self._timeline, self._now = camera, timeline, now
-
-    def open(self) -> None:
-        self._camera.open()
-
-    def close(self) -> None:
-        self._camera.close()
-
-    def capture(self, after: float, timeout: float = 2.0) -> Frame:
-        with self._timeline.noting("camera", "frame", self._now):
-            return self._camera.capture(after, timeout)
+def _frame(*arguments: Any, **options: Any) -> str:
+    return "frame"
 
 
-class _WatchedArm:
-    """Behaves as the arm behind it."""
+def _charge(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f} ms"
 
-    def __init__(self, arm: Arm, timeline: Timeline, now: Callable[[], float]) -> None:
-        self._arm, self._timeline, self._now = arm, timeline, now
-        self._opening = arm.description.gripper.opening[1]
 
-    @property
-    def description(self) -> ArmDescription:
-        return self._arm.description
+class _Watched:
+    """Behaves as the device behind it, and notes when some of its methods are at work.
 
-    def open(self) -> None:
-        self._arm.open()
+    Args:
+        device: The device.
+        timeline: Where to note it.
+        now: Time of the cell's clock, s.
+        lanes: By name of the method: the lane, and what gives the span's name from the arguments.
+    """
 
-    def close(self) -> None:
-        self._arm.close()
+    def __init__(
+        self,
+        device: object,
+        timeline: Timeline,
+        now: Callable[[], float],
+        lanes: Mapping[str, tuple[str, Callable[..., str]]],
+    ) -> None:
+        self._device, self._timeline, self._now, self._lanes = device, timeline, now, lanes
 
-    def energise(self) -> ArmState:
-        return self._arm.energise()
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._device, name)
+        if name not in self._lanes:
+            return found
+        lane, named = self._lanes[name]
 
-    def relax(self) -> None:
-        self._arm.relax()
+        def noted(*arguments: Any, **options: Any) -> Any:
+            with self._timeline.noting(lane, named(*arguments, **options), self._now):
+                return found(*arguments, **options)
 
-    def state(self) -> ArmState:
-        return self._arm.state()
-
-    def follow(self, trajectory: Trajectory) -> MoveReport:
-        with self._timeline.noting("arm", trajectory.name, self._now):
-            return self._arm.follow(trajectory)
-
-    def grip(self, opening: float, effort: float = 1.0) -> GripReport:
-        name = "close" if opening < self._opening else "open"
-        with self._timeline.noting("gripper", name, self._now):
-            report = self._arm.grip(opening, effort)
-        self._opening = report.opening
-        return report
-
-    def request_stop(self) -> None:
-        self._arm.request_stop()
-
-    def clear_stop(self) -> None:
-        self._arm.clear_stop()
+        return noted

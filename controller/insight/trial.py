@@ -59,7 +59,7 @@ class Trial(Observer):
     _seen: list[Record] = field(default_factory=list)
     _missed: list[Record] = field(default_factory=list)
     _false: int = 0
-    _refused: int = 0
+    _refused: list[Record] = field(default_factory=list)
     _attempts: list[_Attempt] = field(default_factory=list)
     _outcomes: list[Outcome] = field(default_factory=list)
 
@@ -101,7 +101,8 @@ class Trial(Observer):
                 "score": round(thing.detection.score, 3),
                 "upright": part.upright,
             })  # fmt: skip
-        self._refused += len(look.refused)
+        for detection, reason in look.refused:
+            self._refused.append({"look": len(self._looks), "seen": str(detection.shape), "reason": reason})
         table = self.config.table.T_base_table()
         for part in parts:
             if part.place == "table" and part.part_id not in found and self.config.in_work_area(part.center, table):

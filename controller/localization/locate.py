@@ -58,10 +58,13 @@ class Located:
     Attributes:
         objects: Located ones, in the order of the detections.
         refused: (detection, reason) of the others.
+        in_the_way: Where the refused ones lie, roughly: not to be picked, but not to be run into either. One that
+            has no place on the table at all is missing.
     """
 
     objects: tuple[LocatedObject, ...]
     refused: tuple[tuple[Detection, str], ...]
+    in_the_way: tuple[LocatedObject, ...] = ()
 
 
 def locate(
@@ -86,13 +89,19 @@ def locate(
     known, bounds = noise or Noise(), limits or Limits()
     objects: list[LocatedObject] = []
     refused: list[tuple[Detection, str]] = []
+    in_the_way: list[LocatedObject] = []
     for detection in detections:
-        found = _locate_one(detection, calibration, heights(detection), refine, known, bounds)
-        if isinstance(found, str):
-            refused.append((detection, found))
-        else:
+        height = heights(detection)
+        found = _locate_one(detection, calibration, height, refine, known, bounds)
+        if not isinstance(found, str):
             objects.append(found)
-    return Located(tuple(objects), tuple(refused))
+            continue
+        refused.append((detection, found))
+        if detection.frame.size == calibration.camera.image_size:
+            rough = _on_half_height(detection, calibration, height)
+            if rough is not None:
+                in_the_way.append(rough)
+    return Located(tuple(objects), tuple(refused), tuple(in_the_way))
 
 
 def _locate_one(

@@ -1,0 +1,47 @@
+"""What lies in the way: neighbours that could not be located, and jaws that come down on something."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from controller.domain import MoveReport, Result, Trajectory
+from controller.localization.locate import Located
+from sim_backends.recording_arm import RecordingArm
+from tests.unit.cycle.bench import Bench, part
+
+
+def test_what_could_not_be_located_is_still_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four neighbours 3 mm away leave no room for a jaw of 8 mm, whether they could be located or not."""
+    bench = Bench(monkeypatch, part(0, 0))
+    around = tuple(part(x, y) for x, y in ((43, 0), (-43, 0), (0, 43), (0, -43)))
+
+    def located(*_: object) -> Located:
+        refused = tuple((thing.detection, "no prism fits") for thing in around)
+        return Located(tuple(bench.table), refused, around)
+
+    monkeypatch.setattr("controller.cycle.sorter.locate", located)
+    assert bench.run().left == 5
+    assert "approach" not in bench.commands
+
+
+@pytest.mark.parametrize(("stray", "results"), [(0.03, [Result.PLACED]), (0.08, [Result.GRASP_MISSED])])
+def test_jaws_that_meet_something_on_the_way_down_do_not_close(
+    monkeypatch: pytest.MonkeyPatch, stray: float, results: list[Result]
+) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    follow = RecordingArm.follow
+
+    def strays(arm: RecordingArm, trajectory: Trajectory, *how: float | None) -> MoveReport:
+        report = follow(arm, trajectory, *how)  # type: ignore[arg-type]  # whatever the cycle asks for
+        return dataclasses.replace(report, worst_following_error=stray if trajectory.name == "approach" else 0.0)
+
+    monkeypatch.setattr(RecordingArm, "follow", strays)
+    bench.run()
+    assert bench.results == results
+    if results == [Result.GRASP_MISSED]:
+        assert "in its way" in bench.outcomes[0].reason
+        narrowest = min(float(str(c["opening_mm"])) for c in bench.arm.commands if c["command"] == "grip")
+        width = bench.outcomes[0].plan.grasp.width if bench.outcomes[0].plan else 0.0
+        assert narrowest > width
