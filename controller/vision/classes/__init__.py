@@ -1,0 +1,1 @@
+"""Classes of parts that a user teaches by showing them."""

@@ -1,0 +1,120 @@
+"""Which taught class a part belongs to, or none: the nearest view that was shown, if it is near enough.
+
+A part may have several faces (a nut lying, a nut on its side), so a class is its views and not their mean. Every
+figure is measured in units of how much it varies between views of one class, pooled over all classes, never less
+than what noise and light do to it; the nearest views then speak. How near is near enough is taken from how far
+the class's own views lie from one another. What lies beyond, or as near to a second class, stays unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.vision.classes.features import BLOCKS, LENGTH, block
+
+Floats32 = NDArray[np.float32]
+
+FLOORS = {"outline": 0.005, "form": 0.01, "size": 0.03, "colour": 0.02, "texture": 0.06, "print": 0.01}
+"""Standard deviation that noise, light and pixels leave in a figure of each block however alike two views are."""
+WEIGHTS = {"outline": 3.0, "form": 1.0, "size": 1.0, "colour": 1.5, "texture": 1.0, "print": 1.5}
+"""How much a block counts: its mean square difference is multiplied by this."""
+_SLACK = 2.0
+"""A new view may lie this much further from the nearest taught one than they lie from one another."""
+_NEAREST, _FURTHEST = 0.9, 4.0
+"""Bounds of that distance: a few views may by chance lie close together, or hold a stray one."""
+_CLEAR = 0.9
+"""The runner-up must be further than the best by this ratio."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a part was taken for.
+
+    Attributes:
+        name: The class, or None: unknown.
+        distance: To the nearest view, in units of the class's reach: below 1 is within.
+        nearest: The class of the nearest view, known or not.
+        score: 1 on a taught view, 0.5 at the border, 0 far away.
+    """
+
+    name: str | None
+    distance: float
+    nearest: str
+    score: float
+
+
+class Classifier:
+    """The taught classes at work.
+
+    Args:
+        views: Feature vectors (n, LENGTH) of each class's views, by name.
+    """
+
+    def __init__(self, views: dict[str, Floats32]) -> None:
+        self.names = tuple(views)
+        self._owner = np.concatenate([np.full(len(v), k) for k, v in enumerate(views.values())] or [np.empty(0)])
+        self._owner = self._owner.astype(np.intp)
+        raw = np.concatenate(list(views.values()) or [np.empty((0, LENGTH), np.float32)])
+        self._scale = _scale(list(views.values()))
+        self._views = raw * self._scale
+        self.reach = np.array([self._reach(k) for k in range(len(self.names))])
+
+    def verdicts(self, values: Floats32) -> list[Verdict | None]:
+        """A verdict for each feature vector (m, LENGTH); None when nothing was taught."""
+        if not self.names or not len(values):
+            return [None] * len(values)
+        near = self._to_classes(values * self._scale, None)
+        order = np.argsort(near, axis=1)
+        out: list[Verdict | None] = []
+        for row, ranks in zip(near, order, strict=True):
+            best = int(ranks[0])
+            distance = float(row[best] / self.reach[best])
+            clear = len(ranks) == 1 or row[best] < _CLEAR * row[int(ranks[1])]
+            known = distance <= 1.0 and bool(clear)
+            score = float(0.5 ** (distance**2))
+            out.append(Verdict(self.names[best] if known else None, distance, self.names[best], score))
+        return out
+
+    def left_out(self) -> list[tuple[str, str | None]]:
+        """For every view its class, and what it is taken for by all views but itself (cross-validation, one out)."""
+        near = self._to_classes(self._views, np.arange(len(self._views)))
+        out: list[tuple[str, str | None]] = []
+        for row, owner in zip(near, self._owner, strict=True):
+            best = int(row.argmin())
+            others = np.delete(row, best)
+            clear = not len(others) or row[best] < _CLEAR * others.min()
+            known = row[best] <= self.reach[best] and clear
+            out.append((self.names[owner], self.names[best] if known else None))
+        return out
+
+    def _to_classes(self, scaled: Floats32, own: NDArray[np.intp] | None) -> NDArray[np.float64]:
+        """(m, classes): distance to the nearest view of each class; `own` are rows to leave out."""
+        squared = (scaled**2).sum(axis=1)[:, None] + (self._views**2).sum(axis=1) - 2.0 * scaled @ self._views.T
+        distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
+        if own is not None:
+            distance[np.arange(len(own)), own] = np.inf
+        return np.stack([distance[:, self._owner == k].min(axis=1) for k in range(len(self.names))], axis=1)
+
+    def _reach(self, k: int) -> float:
+        """How far from the nearest view of a class its parts may lie."""
+        own = self._views[self._owner == k]
+        if len(own) < 2:
+            return _NEAREST
+        apart = np.linalg.norm(own[:, None] - own[None], axis=2) + np.where(np.eye(len(own)) > 0, np.inf, 0.0)
+        return float(np.clip(_SLACK * np.sort(apart.min(axis=1))[int(0.8 * (len(own) - 1))], _NEAREST, _FURTHEST))
+
+
+def _scale(classes: Sequence[Floats32]) -> Floats32:
+    """(LENGTH,) factors that turn a difference of figures into a share of the distance."""
+    scale = np.empty(LENGTH, np.float32)
+    rest = [views - np.median(views, axis=0) for views in classes if len(views) > 1]
+    pooled = np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)) if rest else np.zeros(LENGTH)
+    for name, length in BLOCKS.items():
+        at = block(name)
+        spread = np.sqrt(pooled[at] ** 2 + FLOORS[name] ** 2)
+        scale[at] = np.sqrt(WEIGHTS[name] / length / sum(WEIGHTS.values())) / spread
+    return scale
