@@ -46,7 +46,10 @@ class Timeline(Observer):
         """Put a watcher before camera, arm and clock."""
         now = devices.clock.now
         self._wanted_opening = devices.arm.description.gripper.opening[1]
-        lanes = {"follow": ("arm", self._move), "grip": ("gripper", self._grip)}
+        lanes: Mapping[str, tuple[str, Callable[..., str]]] = {
+            "follow": ("arm", self._move),
+            "grip": ("gripper", self._grip),
+        }
         devices.camera = cast(Camera, _Watched(devices.camera, self, now, {"capture": ("camera", _frame)}))
         devices.arm = cast(Arm, _Watched(devices.arm, self, now, lanes))
         devices.clock = cast(Clock, _Watched(devices.clock, self, now, {"charge": ("computing", _charge)}))
