@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from controller.config.cell import CellConfig
 from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, Array, TruePart
+from controller.domain import ArmDescription, Array, Frame, Point, Shape, TruePart
 from controller.errors import DeviceError, InputError
-from controller.geometry import CameraModel
+from controller.geometry import CameraModel, transform
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
 
 if TYPE_CHECKING:
@@ -201,19 +201,14 @@ def rehearsed(devices: Devices, arm: ArmDescription, options: BackendOptions, re
 
 def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
     """The physics cell: the unmodified driver on virtual servos, painted pictures, simulated time."""
-    try:
-        from sim_backends.cell import SimulatedCell
-    except ImportError as error:
-        raise InputError(
-            f"the simulation cannot start: {error}", "install its extra: pip install 'sorting-controller[sim]'"
-        ) from error
+    simulated_cell = _simulated_cell()
     from drivers.arm.dynamixel import DynamixelArm
     from sim_backends.virtual_dynamixel import BusStream, Fault, ServoSpec, VirtualBus
 
     spec = _cell_spec(config, arm, options)
     if options.real_time:
         return _served_devices(spec, arm, options)
-    cell = SimulatedCell(spec)
+    cell = simulated_cell(spec)
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
     bus.faults.set_rate(Fault.DROP, cell.imperfections.packet_loss)
@@ -253,6 +248,58 @@ class _CellTruth:
     def collisions(self) -> int:
         """Touches so far."""
         return len(self.cell.collisions)
+
+
+class PaintedTable:
+    """A simulated camera over a table on which parts are laid at will: for studies of seeing alone.
+
+    Attributes:
+        camera, clock, presenter: The ports, over an empty table; the camera is open.
+    """
+
+    def __init__(self, config: CellConfig, arm: ArmDescription, options: BackendOptions) -> None:
+        cell_type = _simulated_cell()
+        # The arm stands away from the scene, turned to the side: neither it nor its shadow is in the picture.
+        table = config.table.model_copy(update={"origin_in_base_mm": (380.0, 0.0, 0.0)})
+        aside = replace(arm, rest=(math.pi / 2, *arm.rest[1:]))
+        self._spec = replace(_cell_spec(config.model_copy(update={"table": table}), aside, options), bins=())
+        empty = cell_type(self._spec, ())
+        self._T_base_table = empty.T_base_table
+        empty.camera.open()
+        self.camera: Camera = empty.camera
+        self.clock: Clock = empty.clock
+        self.presenter: Presenter = empty.presenter
+
+    def show(self, parts: Sequence[tuple[Shape, Point, float]], seed: int) -> tuple[Frame, Sequence[TruePart]]:
+        """A picture of parts laid at (shape, (x, y) in `table`, yaw), mm and rad; and where they truly are.
+
+        Args:
+            parts: What to lay.
+            seed: Of their sizes and colours.
+        """
+        from sim_backends.parts import COLOURS, Part
+
+        random = np.random.default_rng([seed, 11])
+        turn = math.atan2(self._T_base_table[1, 0], self._T_base_table[0, 0])
+        laid = []
+        for shape, center, yaw in parts:
+            x, y, _ = transform(self._T_base_table, [*center, 0.0])
+            colour, grip = random.choice(list(COLOURS)), random.choice(self._spec.grips)
+            laid.append(Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn))
+        cell = _simulated_cell()(self._spec, laid)
+        cell.camera.open()
+        frame = cell.camera.capture(cell.clock.now())
+        return frame, cell.truth_at(frame.captured_at)
+
+
+def _simulated_cell() -> type[SimulatedCell]:
+    try:
+        from sim_backends.cell import SimulatedCell
+    except ImportError as error:
+        raise InputError(
+            f"the simulation cannot start: {error}", "install its extra: pip install 'sorting-controller[sim]'"
+        ) from error
+    return SimulatedCell
 
 
 def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions) -> Devices:

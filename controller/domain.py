@@ -375,6 +375,23 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ServoCycle:
+    """What the joints were told and where they were, once in a cycle of a streamed move.
+
+    Attributes:
+        sent_at: When the goals went out, s of the cell's clock.
+        read_at: When the positions had come in.
+        goals: ndarray of shape (J,), rad: what the servos were told.
+        positions: ndarray of shape (J,), rad: where they said they were.
+    """
+
+    sent_at: float
+    read_at: float
+    goals: Array
+    positions: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MoveReport:
     """How a move ended.
 

@@ -123,6 +123,10 @@ class MotionTimeout(ArmError):
     """A move did not end, or a joint did not follow, before its deadline."""
 
 
+class PartHeld(ArmError):
+    """The jaws were opened and still hold a part: somebody must take it out."""
+
+
 class PlanError(SorterError, ValueError):
     """No safe plan for this target: skip it or clear the way; nothing has moved."""
 

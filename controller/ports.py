@@ -5,7 +5,7 @@ A driver and its simulated twin satisfy the same Protocol and the same contract 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +19,7 @@ from controller.domain import (
     MoveReport,
     Outcome,
     PickPlan,
+    ServoCycle,
     Trajectory,
     TruePart,
 )
@@ -108,7 +109,7 @@ class Arm(Protocol):
         """
         ...
 
-    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+    def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Stream a trajectory to the servos; blocks until it has ended and the joints are settled.
 
         It must start where the arm stands. `request_stop` slows it down along its path.
@@ -116,6 +117,7 @@ class Arm(Protocol):
         Args:
             trajectory: The joints over time.
             opening: Clear opening (mm) that the empty jaws take on the way; None leaves them as they are.
+            after: When on the way the jaws begin, s along the trajectory.
 
         Raises:
             LimitViolation: The trajectory does not start at the arm's present position; nothing moved.
@@ -143,6 +145,18 @@ class Arm(Protocol):
 
     def clear_stop(self) -> None:
         """Allow motion again after `request_stop`. Moves nothing."""
+        ...
+
+
+@runtime_checkable
+class CycleSource(Protocol):
+    """An arm that can be listened to while it moves."""
+
+    def listen(self, listener: Callable[[ServoCycle], None] | None) -> None:
+        """Have every complete cycle of a streamed move told from now on; None: no longer.
+
+        The listener runs inside the motion loop and must not block.
+        """
         ...
 
 

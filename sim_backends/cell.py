@@ -5,6 +5,8 @@ The servo bus is attached by whoever composes the cell: `VirtualBus(cell.plant, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -18,7 +20,7 @@ from sim_backends.imperfections import Imperfections, draw
 from sim_backends.lens import Lens
 from sim_backends.painter import Image, Painter
 from sim_backends.painter_surface import Print
-from sim_backends.parts import scatter
+from sim_backends.parts import Part, scatter
 from sim_backends.plant import Plant
 from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
@@ -35,6 +37,7 @@ class SimulatedCell:
 
     Args:
         spec: What to build.
+        laid: What lies on the table instead of what the seed scatters.
 
     Attributes:
         spec: What it was built from.
@@ -46,7 +49,7 @@ class SimulatedCell:
         T_tool_marker: True pose of the marker in `tool`, shape (4, 4), mm.
     """
 
-    def __init__(self, spec: CellSpec) -> None:
+    def __init__(self, spec: CellSpec, laid: Sequence[Part] | None = None) -> None:
         self.spec = spec
         self.imperfections = imperfections = draw(spec.level, spec.seed, spec.overrides)
         nominal_table = np.array(spec.T_base_table)
@@ -56,7 +59,9 @@ class SimulatedCell:
         self.T_tool_marker: Array = spec.marker.T_tool_marker @ displacement(
             np.array(imperfections.marker_shift), np.array(imperfections.marker_turn)
         )
-        parts = scatter(spec.parts, spec.seed, imperfections, spec.heights, spec.grips, spec.work_area)
+        if laid is None:
+            laid = scatter(spec.parts, spec.seed, imperfections, spec.heights, spec.grips, spec.work_area)
+        parts = tuple(laid)
         self.world = World(
             spec.arm, spec.bins, nominal_table, parts, imperfections, spec.marker, self.T_tool_marker
         )

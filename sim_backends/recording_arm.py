@@ -113,7 +113,7 @@ class RecordingArm:
         self._raise_due(self._due("state"))
         return self._state()
 
-    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+    def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Record the trajectory, with what the jaws shall do meanwhile, and pass through it sample by sample.
 
         Raises:
@@ -128,7 +128,7 @@ class RecordingArm:
             duration_s=round(trajectory.duration, 6),
             from_deg=self._degrees(trajectory.positions[0]),
             to_deg=self._degrees(trajectory.positions[-1]),
-            **({} if opening is None else {"opening_mm": round(self._within(opening), 3)}),
+            **({} if opening is None else {"opening_mm": round(self._within(opening), 3), "after_s": round(after, 3)}),
         )
         if opening is not None and not self._stop:
             self._opening = self._within(opening)

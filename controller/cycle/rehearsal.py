@@ -129,7 +129,7 @@ class EmptyHanded:
         """The arm's state, its jaws where they pretend to be."""
         return self._pretend(self._arm.state())
 
-    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+    def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Follow the trajectory, only pretending to open the jaws on the way (mm); blocks, moves metal."""
         if opening is not None:
             self._opening = opening
@@ -180,6 +180,9 @@ class AirPlanner(Planner):
         pile: float | None = None,
         finish: Array | None = None,
         view: Array | None = None,
+        climb: float = 0.0,
     ) -> PickPlan:
         """As `Planner.plan_pick`, above the parts."""
-        return self._above.plan_pick(target, others, bin, drop, start, pile=pile, finish=finish, view=view)
+        return self._above.plan_pick(
+            target, others, bin, drop, start, pile=pile, finish=finish, view=view, climb=climb
+        )

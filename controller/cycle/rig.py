@@ -52,6 +52,12 @@ class Observer:
     def concluded(self, outcome: Outcome) -> None:
         """A target got its outcome."""
 
+    def held(self, cause: SorterError, at: float) -> None:
+        """The cell holds for something that may pass; told once for each cause."""
+
+    def resumed(self, at: float) -> None:
+        """What the cell held for has passed."""
+
     def faulted(self, error: SorterError, at: float) -> None:
         """The first fault latched."""
 

@@ -9,22 +9,21 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.cycle import proof
+from controller.cycle.holding import RELEASES, SLICE, Hold
 from controller.cycle.machine import CellMachine, State
 from controller.cycle.rig import Look, Rig
 from controller.cycle.targets import Target, TargetBook
 from controller.cycle.view import MARGIN_MM, region_mask
-from controller.domain import Bin, Frame, LocatedObject, MoveReport, Outcome, PickPlan, Point, Result, Trajectory
-from controller.errors import CameraEnded, CameraError, LedgerError, PlanError, SorterError
+from controller.domain import Bin, Frame, Grasp, LocatedObject, MoveReport, Outcome, PickPlan, Point, Result, Trajectory
+from controller.errors import ArmError, CameraEnded, CameraError, LedgerError, PartHeld, PlanError, SorterError
 from controller.localization.locate import locate
 from controller.vision.detect import Detected, detect
-
-_CAMERA_RETRIES = 5
-"""With the back-off below, a camera may be away for about half a minute before it is a fault."""
 
 _DROP_SPREAD = 0.18
 """Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
@@ -35,6 +34,10 @@ _ASKEW_MM = 45.0
 
 _LAYER_MM = 8.0
 """What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
+
+
+_FALL_MM = 8.0
+"""The planner lets a part fall this far: what lies below the jaws when they have opened is that much lower."""
 
 
 class _Interrupted(Exception):
@@ -88,7 +91,10 @@ class Sorter:
         self._cycle_started = 0.0
         self._last_motion = 0.0
         self._retreat: Trajectory | None = None
-        self._camera_failures = 0
+        self._placed_height = 0.0
+        self._held: Hold | None = None
+        self._go_on = threading.Event()
+        self._unwritten: list[Outcome] = []
         self._picks_from_look = 0
         self._plane = rig.calibration.plane(_typical_half_height(rig))
         self._region: NDArray[np.uint8] | None = None
@@ -116,36 +122,50 @@ class Sorter:
         self._pause.set()
 
     def resume(self) -> None:
-        """Go on after `request_pause`; from any thread."""
+        """Go on after `request_pause`, or when the part that stuck to the jaws is gone; from any thread."""
         self._pause.clear()
+        self._go_on.set()
 
     def run(self) -> None:
         """Sort. Moves metal, blocks until the cell is STOPPED or FAULT."""
         self._fire("started")
         while self.machine.state not in (State.STOPPED, State.FAULT):
             try:
-                trigger = "stopped" if self._stop.is_set() else self._handlers[self.machine.state]()
-            except _Interrupted:
+                trigger = self._work()
+            except (_Interrupted, CameraEnded):
                 trigger = "stopped"
-            except CameraError as error:
-                trigger = self._camera_failed(error)
+            except (CameraError, LedgerError, PartHeld) as error:
+                trigger = self._hold_for(error)
             except SorterError as error:
                 trigger = self._latch(error)
             except BaseException:
-                self._leave_safely()
+                self._settle("the controller failed")
+                self._come_to_rest()
                 raise
             if trigger == "stopped":
                 trigger = self._shut_down()
             self._fire(trigger)
-        if self.fault is not None:
-            self._leave_safely()
         self._conclude_open()
+
+    def _work(self) -> str:
+        """Do what the state asks for; nothing new begins before what has happened is on record."""
+        if self._stop.is_set():
+            return "stopped"
+        if self.machine.state is not State.HELD:
+            self._write_outcomes()
+        return self._handlers[self.machine.state]()
 
     # --- the states -----------------------------------------------------------------------------------
 
     def _home(self) -> str:
         state = self.rig.arm.energise()
         self._energised = True
+        target = self._holding
+        if target is not None and target.plan is not None:
+            self._let_go(target.plan.grasp)
+            self._holding = None
+            self._conclude(target, Result.INDETERMINATE, "it stuck to the jaws over the bin, until somebody helped")
+            self._overcome(PartHeld)
         self._follow(self.rig.planner.home(state.positions))
         return "homed"
 
@@ -160,7 +180,7 @@ class Sorter:
         if self._retreat is None:
             self._cycle_started = self.rig.clock.now()
         self._frame = self.rig.camera.capture(self._last_motion, self.rig.config.camera.frame_timeout_s)
-        self._camera_failures = 0
+        self._overcome(CameraError)
         self._picks_from_look = 0
         return "captured"
 
@@ -205,13 +225,15 @@ class Sorter:
         if not self.rig.confirm(plan):
             self._conclude(target, Result.SKIPPED, "refused by the operator")
             return "missed"
+        self.rig.ledger.intend(target.target_id, plan, target.attempts + 1, self.rig.clock.now())
+        self._overcome(LedgerError)
         target.attempts += 1
-        self.rig.ledger.intend(target.target_id, plan, target.attempts, self.rig.clock.now())
         for observer in self.rig.observers:
             observer.attempted(plan, target.attempts)
         self._holding = target
+        out_of_bin = self.rig.planner.rise_time(plan.approach, self._climb) if self._climb else 0.0
         self._retreat = None
-        refusal = proof.obstruction(self._follow(plan.approach, plan.grasp.opening))
+        refusal = proof.obstruction(self._follow(plan.approach, plan.grasp.opening, out_of_bin))
         if refusal is None:
             report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
             self._moved(report.finished)
@@ -235,8 +257,8 @@ class Sorter:
         plan = target.plan
         self._follow(plan.carry)
         dropped = proof.lost(self.rig.arm.state(), plan.grasp)
-        self._grip(plan.grasp.opening)
-        self._retreat = plan.retreat
+        self._let_go(plan.grasp)
+        self._retreat, self._placed_height = plan.retreat, target.located.height
         self._holding = None
         if dropped is not None:
             target.lost, target.reason = True, dropped
@@ -257,6 +279,7 @@ class Sorter:
         return "placed"
 
     def _idle(self) -> str:
+        self._overcome(LedgerError)
         self._step_back()
         if self._until_empty:
             return "stopped"
@@ -265,12 +288,30 @@ class Sorter:
         return "woken"
 
     def _hold(self) -> str:
-        if self._camera_failures:
-            return self._reopen_camera()
-        if self._pause.is_set():
-            self.rig.clock.sleep(0.05)
+        held = self._held
+        if held is not None and isinstance(held.cause, PartHeld):
+            return self._wait_for_help(held)
+        if self._pause.is_set() or (held is not None and self.rig.clock.now() < held.next_try):
+            self.rig.clock.sleep(SLICE)
             return "held_on"
+        if held is not None and isinstance(held.cause, CameraError):
+            self.rig.camera.close()
+            self.rig.camera.open()
+        elif held is not None:
+            self._write_outcomes()
+            self.rig.ledger.note("resumed", self.rig.clock.now(), held_s=self.rig.clock.now() - held.since)
         return "resumed"
+
+    def _wait_for_help(self, held: Hold) -> str:
+        """Nothing opens the jaws again before somebody who has looked says so."""
+        if self._go_on.is_set():
+            self._go_on.clear()
+            return "rehomed"
+        held.next_try = self.rig.clock.now()
+        if self._until_empty and held.too_long:
+            return self._latch(held.cause)
+        self.rig.clock.sleep(SLICE)
+        return "held_on"
 
     # --- choosing -------------------------------------------------------------------------------------
 
@@ -318,8 +359,9 @@ class Sorter:
             self.rig.clock.charge(self.rig.config.cycle.planning_budget_s)
             try:
                 plan = self.rig.planner.plan_pick(
-                    thing, others, bin_, self._drop_point(bin_), start, pile=self._pile(bin_), view=self._view
-                )
+                    thing, others, bin_, self._drop_point(bin_), start,
+                    pile=self._pile(bin_), view=self._view, climb=self._climb,
+                )  # fmt: skip
             except PlanError as error:
                 self.rig.ledger.note("unplannable", self.rig.clock.now(), center=thing.center, reason=str(error))
                 continue
@@ -341,13 +383,35 @@ class Sorter:
             retreat, self._retreat = self._retreat, None
             self._follow(retreat)
 
-    def _follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
-        report = self.rig.arm.follow(trajectory, opening)
+    @property
+    def _climb(self) -> float:
+        """How far the arm must go straight up before it may turn or open its jaws further, mm: out of the bin that
+        it stands in, past the part it has just let go.
+        """
+        return 0.0 if self._retreat is None else self._placed_height + _FALL_MM
+
+    def _follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
+        report = self.rig.arm.follow(trajectory, opening, after)
         self._moved(report.finished)
         return report
 
     def _grip(self, opening: float) -> None:
         self._moved(self.rig.arm.grip(opening).finished)
+
+    def _let_go(self, grasp: Grasp) -> None:
+        """Open the jaws, and again if they keep what is between them.
+
+        Raises:
+            PartHeld: They still do.
+        """
+        for _ in range(RELEASES):
+            report = self.rig.arm.grip(grasp.opening)
+            self._moved(report.finished)
+            kept = proof.kept(report, grasp)
+            if kept is None:
+                return
+        arm = self.rig.arm.description.name
+        raise PartHeld(arm, "let go", kept or "", "take the part out of the jaws, then controller resume")
 
     def _moved(self, finished: bool) -> None:
         self._last_motion = self.rig.clock.now()
@@ -373,40 +437,54 @@ class Sorter:
         if self.rig.arm.follow(self.rig.planner.park(self.rig.arm.state().positions)).finished:
             self.rig.arm.relax()
 
-    def _leave_safely(self) -> None:
-        """After a fault: park when the arm still answers, else leave it to hold or to its own watchdog."""
+    def _settle(self, reason: str) -> None:
+        """Nobody knows any more what becomes of the part that the arm was at work on."""
         if self._holding is not None:
-            self._try_conclude(self._holding, Result.INDETERMINATE, f"fault: {self.fault}")
+            self._conclude(self._holding, Result.INDETERMINATE, reason)
             self._holding = None
+
+    def _come_to_rest(self) -> None:
+        """Park and let go of the torque when the arm still does as it is told, else leave it holding."""
         try:
             self._park()
         except SorterError as error:
             self._try_note("park_failed", reason=str(error))
 
-    # --- faults ---------------------------------------------------------------------------------------
+    # --- holds and faults -----------------------------------------------------------------------------
 
-    def _latch(self, error: SorterError) -> str:
-        if self.fault is None:
-            self.fault = error
-            self._try_note("fault", reason=str(error), code=type(error).__name__)
+    def _hold_for(self, error: SorterError) -> str:
+        """Hold for something that may pass; where nobody operates the cell, not for ever."""
+        now = self.rig.clock.now()
+        known = self._held is not None and type(self._held.cause) is type(error)
+        self._held = self._held or Hold(error, now)
+        self._held.failed(error, now)
+        self._go_on.clear()
+        if not known:
+            self._try_note("held", reason=str(error), code=type(error).__name__)
             for observer in self.rig.observers:
-                observer.faulted(error, self.rig.clock.now())
-        return "faulted"
-
-    def _camera_failed(self, error: CameraError) -> str:
-        if isinstance(error, CameraEnded):
-            return "stopped"
-        self._camera_failures += 1
-        self._try_note("camera", reason=str(error), failures=self._camera_failures)
-        if self._camera_failures > _CAMERA_RETRIES:
+                observer.held(error, now)
+        if self._until_empty and self._held.too_long:
             return self._latch(error)
         return "held_on" if self.machine.state is State.HELD else "held"
 
-    def _reopen_camera(self) -> str:
-        self.rig.clock.sleep(0.5 * 2 ** (self._camera_failures - 1))
-        self.rig.camera.close()
-        self.rig.camera.open()
-        return "resumed"
+    def _overcome(self, kind: type[SorterError]) -> None:
+        """What the cell held for works again."""
+        if self._held is not None and isinstance(self._held.cause, kind):
+            self._held = None
+            for observer in self.rig.observers:
+                observer.resumed(self.rig.clock.now())
+
+    def _latch(self, error: SorterError) -> str:
+        """Keep the first fault and bring the arm to rest; after one of the arm's own it is left holding still."""
+        if self.fault is None:
+            self.fault = error
+            self._settle(f"fault: {error}")
+            self._try_note("fault", reason=str(error), code=type(error).__name__)
+            for observer in self.rig.observers:
+                observer.faulted(error, self.rig.clock.now())
+            if not isinstance(error, ArmError):
+                self._come_to_rest()
+        return "faulted"
 
     # --- outcomes -------------------------------------------------------------------------------------
 
@@ -418,21 +496,23 @@ class Sorter:
         else:
             self._book.close(target)
         self._concluded += 1
-        self.rig.ledger.conclude(outcome)
-        for observer in self.rig.observers:
-            observer.concluded(outcome)
+        self._unwritten.append(outcome)
+        # What cannot be written now is kept, and holds the cell before anything new begins.
+        with suppress(LedgerError):
+            self._write_outcomes()
 
-    def _try_conclude(self, target: Target, result: Result, reason: str) -> None:
-        try:
-            self._conclude(target, result, reason)
-        except LedgerError as error:
-            self._latch(error)
+    def _write_outcomes(self) -> None:
+        """Put on record what is not yet there, and tell it. Raises LedgerError."""
+        while self._unwritten:
+            self.rig.ledger.conclude(self._unwritten[0])
+            outcome = self._unwritten.pop(0)
+            for observer in self.rig.observers:
+                observer.concluded(outcome)
 
     def _try_note(self, kind: str, **details: object) -> None:
-        try:
+        """Note it if the ledger can take it; if not, the next intent will hold the cell."""
+        with suppress(LedgerError):
             self.rig.ledger.note(kind, self.rig.clock.now(), **details)
-        except LedgerError as error:
-            self.fault = self.fault or error
 
     def _give_up(self, target: Target) -> None:
         """A target that was tried and is nowhere to be seen."""
@@ -445,7 +525,12 @@ class Sorter:
         for target in self._book.open:
             if target.attempts:
                 result = Result.DROPPED if target.lost else Result.GRASP_MISSED
-                self._try_conclude(target, result, target.reason or "the run ended before the next attempt")
+                self._conclude(target, result, target.reason or "the run ended before the next attempt")
+        try:
+            self._write_outcomes()
+        except LedgerError as error:
+            if self.fault is None:
+                self._fire(self._latch(error))
 
     def _fire(self, trigger: str) -> None:
         if trigger == "held_on":

@@ -109,6 +109,7 @@ class Planner:
         pile: float | None = None,
         finish: Array | None = None,
         view: Array | None = None,
+        climb: float = 0.0,
     ) -> PickPlan:
         """Everything that moves for one part, approved as a whole.
 
@@ -124,6 +125,8 @@ class Planner:
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
                 sooner than in the ready pose, and as near to the next part.
 
+            climb: mm that the way begins straight up, because the arm stands deep in a bin.
+
         Raises:
             NoClearGrasp: The jaws have no room, or the part does not suit them.
             Unreachable: Part or drop lies outside the reach.
@@ -134,7 +137,7 @@ class Planner:
         failure: PlanError | None = None
         for choice in choices:
             try:
-                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish, view)
+                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish, view, climb)
             except (Unreachable, LimitViolation) as error:
                 failure = failure or error
         assert failure is not None
@@ -180,6 +183,12 @@ class Planner:
             LimitViolation: See `plan_move`.
         """
         return self.plan_move("park", start, np.array(self.arm.rest))
+
+    def rise_time(self, trajectory: Trajectory, rise: float) -> float:
+        """When on a trajectory the tool has first risen by `rise` mm, s; its end when it never does."""
+        height = points(self.arm, trajectory.positions)[:, 3, 2]
+        risen = np.flatnonzero(height >= height[0] + rise)
+        return (float(risen[0]) if len(risen) else len(height) - 1) * trajectory.period
 
     def leaves_view_clear(self, start: Array, view: Array) -> bool:
         """Whether the camera sees all of an outline of the table past the arm as it stands.
@@ -350,6 +359,7 @@ class Planner:
         pile: float | None,
         finish: Array | None,
         view: Array | None,
+        climb: float,
     ) -> PickPlan:
         pick = self._stop(grasp.center, grasp.height, None, grasp.direction)
         rest = (target.center[0] - grasp.center[0], target.center[1] - grasp.center[1])
@@ -359,7 +369,7 @@ class Planner:
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
         inside = min(max(self._clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
         out, in_ = stroke(self.arm, pick.low, pick.rise), stroke(self.arm, place.low, place.rise)
-        approach = self._approach(q0, out.reversed(), pick.rise - straight, grasp.opening)
+        approach = self._approach(q0, out.reversed(), pick.rise - straight, grasp.opening, climb)
         carry = self._trajectory(
             "carry",
             [out, line(self.arm, pick.high, place.high), in_.reversed()],
@@ -376,9 +386,10 @@ class Planner:
         self.gate.check_plan(plan, q0)
         return plan
 
-    def _approach(self, q0: Array, down: Leg, rounded: float, opening: float) -> Trajectory:
+    def _approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
         failure: LimitViolation | None = None
-        for legs, corners in self._ways(q0, down.start):
+        ways = self._ways(q0, down.start) if climb <= 0.0 else self._climbing(q0, down.start, climb)
+        for legs, corners in ways:
             last = (CORNER, rounded)
             trajectory = self._trajectory("approach", [*legs, down], [*corners, last])
             try:
@@ -410,6 +421,16 @@ class Planner:
                 (CORNER / 2.0, 5.0),
             ]
         yield [line(self.arm, q0, goal)], []
+
+    def _climbing(self, q0: Array, goal: Array, climb: float) -> Iterator[tuple[list[Leg], list[tuple[float, float]]]]:
+        """The way out of a bin: straight up by `climb` mm and over the walls before it turns.
+
+        Raises:
+            Unreachable: The arm cannot go straight up from there.
+        """
+        rise = max(self._clear - points(self.arm, q0)[3, 2], climb + LIFT / 2.0)
+        up = stroke(self.arm, q0, rise)
+        yield [up, line(self.arm, up.end, goal)], [(max(rise - LIFT / 2.0, climb), CORNER)]
 
     def _tucked(self, waist: float, goal: float) -> Iterator[tuple[Array, Array]]:
         """Folded poses at two waist angles to pass through when the tool cannot go straight up."""

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import ArmDescription, ArmState
+from controller.domain import ArmDescription, ArmState, ServoCycle
 from controller.errors import ArmError, BusError
 from controller.ports import Clock
 from drivers.arm import bring_up
@@ -44,6 +44,7 @@ class Body:
         gripper: The gripper's servo.
         goals: ndarray of shape (J,), rad: what the joints were told last.
         latest: The last complete state, or None.
+        listener: Is told every complete cycle of a streamed move, or None.
     """
 
     def __init__(self, description: ArmDescription, bus: Bus, clock: Clock) -> None:
@@ -55,6 +56,7 @@ class Body:
         self.gripper = self.servos[len(description.joints)]
         self.goals: Array = np.zeros(len(self.joints))
         self.latest: ArmState | None = None
+        self.listener: Callable[[ServoCycle], None] | None = None
 
     def read(self, operation: str) -> dict[int, Telemetry | None]:
         """One look at every servo; None where one did not answer. Raises BusError, ServoFault."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from controller.domain import ArmDescription, ArmState, GripReport, MoveReport, Trajectory
+from controller.domain import ArmDescription, ArmState, GripReport, MoveReport, ServoCycle, Trajectory
 from controller.errors import ArmError, LimitViolation
 from controller.ports import ByteStream, Clock
 from drivers.arm import bring_up
@@ -164,12 +164,17 @@ class DynamixelArm:
             return latest
         return self._body.state()
 
-    def follow(self, trajectory: Trajectory, opening: float | None = None) -> MoveReport:
+    def listen(self, listener: Callable[[ServoCycle], None] | None) -> None:
+        """Have every complete cycle of a streamed move told from now on, inside the motion loop; None: no longer."""
+        self._body.listener = listener
+
+    def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Stream a trajectory to the servos; blocks until it has ended and the joints are settled.
 
         Args:
             trajectory: Starts where the arm stands.
             opening: Clear opening (mm) that the empty jaws take on the way; None leaves them alone.
+            after: When on the way the jaws begin, s along the trajectory.
 
         Raises:
             LimitViolation: It does not start where the arm stands, or leaves the joints' limits; nothing moved.
@@ -187,11 +192,14 @@ class DynamixelArm:
             if stop_requested():
                 return MoveReport(False, state, 0.0)
             with body.watched():
-                if opening is not None:
-                    gripper = body.description.gripper
-                    wanted = min(max(opening, gripper.opening[0]), gripper.opening[1])
-                    send_jaws(body, wanted, angle_from_opening(gripper, state.opening))
-                return Follower(body, trajectory, state, stop_requested).run()
+                errands = [] if opening is None else [(after, self._jaws_to(opening, state.opening))]
+                return Follower(body, trajectory, state, stop_requested, errands).run()
+
+    def _jaws_to(self, opening: float, now: float) -> Callable[[], object]:
+        """Sends the jaws to an opening (mm) from the one they have, when it is called."""
+        gripper = self.description.gripper
+        wanted = min(max(opening, gripper.opening[0]), gripper.opening[1])
+        return lambda: send_jaws(self._body, wanted, angle_from_opening(gripper, now))
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:
         """Move the jaws to a clear opening (mm) or until they stop on something; blocks.

@@ -6,11 +6,11 @@ strays from its path ends the move: the others slow down along the path and hold
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from controller.domain import ArmState, MoveReport, Trajectory
+from controller.domain import ArmState, MoveReport, ServoCycle, Trajectory
 from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout
 from drivers.arm.body import WATCHDOG, Body, MissCounter, StopRequested
 from drivers.arm.conversions import ticks_from_angles
@@ -74,9 +74,18 @@ class Follower:
         trajectory: A checked trajectory.
         state: Where the arm stands.
         stop_requested: Asked every cycle.
+        errands: (s along the trajectory, what to do there), in order.
     """
 
-    def __init__(self, body: Body, trajectory: Trajectory, state: ArmState, stop_requested: StopRequested) -> None:
+    def __init__(
+        self,
+        body: Body,
+        trajectory: Trajectory,
+        state: ArmState,
+        stop_requested: StopRequested,
+        errands: Sequence[tuple[float, Callable[[], object]]] = (),
+    ) -> None:
+        self._errands = list(errands)
         self._body = body
         self._trajectory = trajectory
         self._stop_requested = stop_requested
@@ -99,8 +108,13 @@ class Follower:
         ended_at: float | None = None
         settled = 0
         while True:
+            sent_at = clock.now()
             body.send_goals(progress.goals)
+            if self._errands and progress.phase >= self._errands[0][0]:
+                self._errands.pop(0)[1]()
             news = self._look()
+            if news and body.listener is not None:
+                body.listener(ServoCycle(sent_at, clock.now(), body.goals, self._present.copy()))
             stopping = self._failure is not None or self._stop_requested()
             if progress.at_end or (stopping and progress.standing):
                 if self._failure is not None:

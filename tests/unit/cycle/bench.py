@@ -104,12 +104,24 @@ class BenchLedger:
         self.lines.append((kind, what))
 
 
+class ListeningClock(VirtualClock):
+    """Tells the bench whenever somebody sleeps."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__()
+        self._bench = bench
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        self._bench.on_sleep(self.now())
+
+
 class Bench(Observer):
     """The rig, the table as a list, and what was seen of the run."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *parts: LocatedObject) -> None:
         self.table = list(parts)
-        self.clock = VirtualClock()
+        self.clock = ListeningClock(self)
         self.arm = RecordingArm(load_arm("reactorx_150"), self.clock, on_command=self._commanded, grip_model=self._grip)
         self.camera = BenchCamera(self.clock)
         self.ledger = BenchLedger()
@@ -119,6 +131,10 @@ class Bench(Observer):
         self.on_command: Callable[[dict[str, object]], None] = lambda command: None
         self.confirm: Callable[[PickPlan], bool] = lambda plan: True
         self.most_parts: int | None = None
+        self.until_empty = True
+        self.held_for: list[SorterError] = []
+        self.overcome = 0
+        self.on_sleep: Callable[[float], None] = lambda now: None
         self.filled: Counter[str] = Counter()
         self._width = 0.0
         monkeypatch.setattr(sorter_module, "detect", lambda *args, **kwargs: Detected((), {"total": 0.0}))
@@ -153,7 +169,7 @@ class Bench(Observer):
             (self,),
             self.confirm,
         )
-        return Sorter(rig, until_empty=True, most_parts=self.most_parts, filled=self.filled)
+        return Sorter(rig, until_empty=self.until_empty, most_parts=self.most_parts, filled=self.filled)
 
     def run(self) -> Sorter:
         """Sort until the table is empty."""
@@ -176,6 +192,12 @@ class Bench(Observer):
 
     def entered(self, state: State, at: float) -> None:
         self.states.append(state)
+
+    def held(self, cause: SorterError, at: float) -> None:
+        self.held_for.append(cause)
+
+    def resumed(self, at: float) -> None:
+        self.overcome += 1
 
     def looked(self, look: Look) -> None:
         assert all(thing.detection.frame.image is IMAGE for thing in look.located)

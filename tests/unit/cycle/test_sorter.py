@@ -6,7 +6,7 @@ import pytest
 
 from controller.cycle.machine import State
 from controller.domain import LocatedObject, Result, Shape
-from controller.errors import ArmError, CameraEnded, CameraLost, LedgerError, MotionTimeout
+from controller.errors import ArmError, CalibrationStale, CameraEnded, CameraLost, LedgerError, MotionTimeout, PartHeld
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
 
@@ -129,7 +129,7 @@ def test_a_stop_parks_the_arm_wherever_it_comes(monkeypatch: pytest.MonkeyPatch,
     assert len(begun) == len(bench.results)
 
 
-def test_the_first_fault_latches_and_the_arm_is_made_safe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_of_the_arm_latches_and_it_moves_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     error = MotionTimeout("arm", "follow", "the elbow does not move")
     bench.arm.fail_on("follow", 3, error, fraction=0.5)
@@ -137,15 +137,23 @@ def test_the_first_fault_latches_and_the_arm_is_made_safe(monkeypatch: pytest.Mo
     assert sorter.fault is error
     assert bench.states[-1] is S.FAULT
     assert bench.results == [Result.INDETERMINATE]
-    assert bench.commands[-2:] == ["park", "relax"]
+    assert bench.commands[-1] == "carry"
+    assert "relax" not in bench.commands  # it would fall
+
+
+def test_a_fault_elsewhere_latches_when_the_arm_is_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.camera.failures = [CalibrationStale("other camera")]
+    bench.run()
+    assert bench.states[-1] is S.FAULT
+    assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
 
 
 def test_an_arm_that_cannot_be_parked_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
+    bench.camera.failures = [CalibrationStale("other camera")]
     bench.arm.fail_on("follow", 2, ArmError("arm", "follow", "lost"), fraction=0.5)
-    bench.arm.fail_on("follow", 3, ArmError("arm", "follow", "lost"))
-    sorter = bench.run()
-    assert sorter.fault is not None
+    assert isinstance(bench.run().fault, CalibrationStale)
     assert "relax" not in bench.commands
     assert ("note", "park_failed") in bench.ledger.lines
 
@@ -161,6 +169,87 @@ def test_nothing_moves_for_a_part_that_cannot_be_recorded(monkeypatch: pytest.Mo
     sorter = bench.run()
     assert isinstance(sorter.fault, LedgerError)
     assert "approach" not in bench.commands
+    assert [str(cause) for cause in bench.held_for] == ["disk full"]
+
+
+def test_a_record_that_can_be_written_again_is_caught_up_before_anything_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, part(0, 0), part(0, 90))
+
+    moved_at: list[float] = []
+
+    def fill(command: dict[str, object]) -> None:
+        moved_at.append(bench.clock.now())
+        if command.get("name") == "carry" and not bench.outcomes:
+            bench.ledger.full = LedgerError("disk full")
+
+    bench.on_command = fill
+    bench.on_sleep = lambda now: setattr(bench.ledger, "full", None) if now > 30.0 else None
+    bench.run()
+    assert bench.results == [Result.PLACED] * 2
+    assert [what for kind, what in bench.ledger.lines if kind != "note"] == ["t1/1", "t1:placed", "t2/1", "t2:placed"]
+    assert bench.states.count(S.HELD) == 1
+    assert not [at for at in moved_at if 10.0 < at < 30.0]
+
+
+def test_an_intent_that_could_not_be_recorded_is_no_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.on_command = lambda c: setattr(bench.ledger, "full", LedgerError("full")) if c.get("name") == "home" else None
+    bench.on_sleep = lambda now: setattr(bench.ledger, "full", None) if now > 20.0 else None
+    bench.run()
+    assert [(o.result, o.attempts) for o in bench.outcomes] == [(Result.PLACED, 1)]
+    assert bench.overcome == 1
+
+
+def stuck(bench: Bench, times: int) -> None:
+    """Jaws that stop on the part when they are opened over the bin."""
+    bench.arm.grip_result(contact=True, opening=40.0)
+    for _ in range(times):
+        bench.arm.grip_result(contact=True, opening=40.5)
+
+
+def test_jaws_that_keep_a_part_are_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    stuck(bench, 2)
+    bench.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.held_for == []
+
+
+def test_a_part_that_sticks_holds_the_cell_until_somebody_says_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.until_empty = False
+    stuck(bench, 3)
+    bench.arm.open()
+    sorter = bench.sorter()
+    moves: list[int] = []
+
+    def help_(now: float) -> None:
+        if sorter.machine.state is S.HELD:
+            moves.append(len(bench.arm.commands))
+            if len(moves) > 2000:  # 100 s: longer than a run that nobody operates would hold
+                bench.table.clear()
+                sorter.resume()
+        if sorter.machine.state is S.IDLE:
+            sorter.request_stop()
+
+    bench.on_sleep = help_
+    sorter.run()
+    assert isinstance(bench.held_for[0], PartHeld)
+    assert len(set(moves)) == 1
+    assert bench.results == [Result.INDETERMINATE]
+    assert sorter.fault is None
+
+
+def test_a_part_that_sticks_is_a_fault_where_nobody_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    stuck(bench, 3)
+    sorter = bench.run()
+    assert isinstance(sorter.fault, PartHeld)
+    assert bench.commands[-1] == "grip"
+    assert bench.results == [Result.INDETERMINATE]
+    assert 60.0 < bench.clock.now() < 90.0
 
 
 def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,7 +266,32 @@ def test_a_camera_that_stays_away_is_a_fault(monkeypatch: pytest.MonkeyPatch) ->
     bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 20
     sorter = bench.run()
     assert isinstance(sorter.fault, CameraLost)
-    assert bench.clock.now() < 60.0
+    assert bench.clock.now() < 70.0
+    assert bench.commands[-1] == "relax"
+
+
+def test_an_operated_cell_waits_for_its_camera_as_long_as_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.until_empty = False
+    bench.most_parts = 1
+    bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 100
+    assert bench.run().fault is None
+    assert bench.results == [Result.PLACED]
+    assert len(bench.held_for) == bench.overcome == 1
+    # 0.5, 1, 2, 4, 8 s, then every 10 s
+    assert bench.clock.now() == pytest.approx(15.5 + 95 * 10.0, rel=0.05)
+
+
+def test_a_stop_is_obeyed_while_the_cell_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 20
+    bench.arm.open()
+    sorter = bench.sorter()
+    bench.on_sleep = lambda now: sorter.request_stop() if now > 20.0 and not sorter._stop.is_set() else None
+    sorter.run()
+    assert sorter.fault is None
+    assert bench.clock.now() < 25.0
+    assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
 
 
 def test_the_end_of_a_replay_is_an_ordinary_stop(monkeypatch: pytest.MonkeyPatch) -> None:
