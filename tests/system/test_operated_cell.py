@@ -128,11 +128,11 @@ def test_a_fault_latches_until_it_is_reset(
     arm = devices[0].arm
     follow, left = arm.follow, [1]
 
-    def stuck(trajectory):  # type: ignore[no-untyped-def]
+    def stuck(trajectory, *more):  # type: ignore[no-untyped-def]
         if trajectory.name == "approach" and left:
             left.pop()
             raise MotionTimeout("arm", "follow", "the elbow does not move")
-        return follow(trajectory)
+        return follow(trajectory, *more)
 
     monkeypatch.setattr(arm, "follow", stuck)
     cell.operator.ask("start")
