@@ -40,7 +40,7 @@ class Film(Observer):
     def __init__(self, path: Path, fps: float = 10.0) -> None:
         self._path = path
         self._period = 1.0 / fps
-        self._due = 0.0
+        self._due = self._period
         self._time = 0.0
         self._writer: cv2.VideoWriter | None = None
         self._miniature: Callable[[], Image] | None = None
