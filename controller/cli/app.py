@@ -19,6 +19,7 @@ ROOMS = {
     "home": "motion",
     "jog": "motion",
     "bins": "bins",
+    "identify": "identify",
     "evaluate": "evaluate",
     "config": "config",
     "doctor": "doctor",

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from controller.backends import DEVICES, BackendOptions, Level, Mode, nominal_camera
-from controller.calibration.store import load_calibration
+from controller.calibration.identified import load_identified
+from controller.calibration.store import CAMERA, load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
 from controller.domain import ArmState, Array, CellCalibration, Trajectory
@@ -93,7 +94,9 @@ def manual_cell(options: ManualOptions) -> Iterator[ManualCell]:
         devices.clear_table()
         devices.arm.open()
         stack.callback(devices.arm.close)
-        planner = ManualPlanner(description, calibration, config.bin_values())
+        folder = calibration_folder(options)
+        model = load_identified(folder, description) if folder is not None else description
+        planner = ManualPlanner(model, calibration, config.bin_values())
         yield ManualCell(config, devices.arm, devices.clock, calibration, planner)
 
 
@@ -103,15 +106,21 @@ def by_ruler(config: CellConfig) -> CellCalibration:
     return CellCalibration("by ruler", camera, T_table_camera, config.table.T_base_table())
 
 
+def calibration_folder(options: ManualOptions) -> Path | None:
+    """The folder of the calibration asked for, else of a real cell's stored one, if there is one."""
+    if options.calibration is not None or options.sim:
+        return options.calibration
+    stored = state_folder() / "calibration"
+    return stored if (stored / CAMERA).is_file() else None
+
+
 def calibration_of(options: ManualOptions) -> CellCalibration:
     """The calibration asked for, else a real cell's stored one, else what ruler and data sheet say.
 
     Raises:
         CalibrationMissing, CalibrationStale, InputError: The calibration cannot be used.
     """
-    folder = options.calibration
-    if folder is None and not options.sim and (state_folder() / "calibration").is_dir():
-        folder = state_folder() / "calibration"
+    folder = calibration_folder(options)
     if folder is not None:
         return load_calibration(folder)
     if not options.sim:

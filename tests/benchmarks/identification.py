@@ -1,0 +1,162 @@
+"""Prints how well the arm follows its plans before and after identification, in physics whose arm is not as described.
+
+Link masses are off by up to 20 %, so are the servos' gains; link play and joint offsets are left out, for encoders
+cannot see them. Vertical strokes and picks at places that were not part of the identification.
+
+Run: python -m tests.benchmarks.identification [cells] [gain error] [mass error]
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from controller.config.cell import load_cell
+from controller.config.files import shipped
+from controller.domain import ArmDescription, Array, ServoCycle
+from controller.geometry import transform
+from controller.motion.identification import Identification, identified, identify, ordinary_moves
+from controller.motion.kinematics import inverse
+from controller.motion.path import join, line, stroke
+from controller.motion.planner import Planner
+from controller.motion.trajectory import generate
+from controller.service.manual import by_ruler
+from drivers.arm.dynamixel import DynamixelArm
+from sim_backends.cell import SimulatedCell
+from sim_backends.cell_spec import CellSpec
+from sim_backends.plant import Drive, Plant
+from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
+from tests.unit.motion.scene import RX150
+
+CELL = load_cell(shipped("sim.toml"))
+GRASP, LIFT = 19.0, 60.0  # mm; the jaw tips end 4 mm above the table
+
+
+class OffGains:
+    """A plant whose servos push harder or softer per angle than their registers say."""
+
+    def __init__(self, plant: Plant, gains: dict[int, float]) -> None:
+        self.now, self.advance, self.shaft, self.on_step = plant.now, plant.advance, plant.shaft, plant.on_step
+        self._plant = plant
+        self._gains = gains
+
+    def drive(self, servo_id: int, drive: Drive) -> None:
+        self._plant.drive(servo_id, replace(drive, stiffness=drive.stiffness * self._gains.get(servo_id, 1.0)))
+
+
+class Bench:
+    """An arm in physics, with masses and gains of its own."""
+
+    def __init__(self, seed: int, gain: float, mass: float) -> None:
+        rng = np.random.default_rng(seed)
+        scale = tuple(float(v) for v in 1.0 + rng.uniform(-mass, mass, 6))
+        spec = CellSpec(
+            arm=RX150,
+            bins=CELL.bin_values(),
+            T_base_table=_rows(CELL.table.T_base_table()),
+            parts=1,
+            seed=seed,
+            level="ideal",
+            overrides={"link_scale": scale},
+        )
+        self.cell = SimulatedCell(spec)
+        self.cell.set_aside()
+        servos = [ServoSpec(*servo) for servo in self.cell.bus_servos]
+        self.gains = 1.0 + rng.uniform(-gain, gain, len(RX150.joints))
+        ids = [joint.servo_id for joint in RX150.joints]
+        plant = OffGains(self.cell.plant, dict(zip(ids, self.gains.tolist(), strict=True)))
+        bus = VirtualBus(plant, servos, baud=RX150.baud, seed=seed)
+        self.arm = DynamixelArm(RX150, BusStream(bus), self.cell.clock)
+        self.arm.open()
+        self.arm.energise()
+
+    def tool(self) -> Array:
+        """Where the grasp point truly is, `base`, mm."""
+        return transform(CELL.table.T_base_table(), self.cell.tool())
+
+
+def _rows(pose: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in pose)
+
+
+def learn(bench: Bench) -> Identification:
+    """What the arm's ordinary moves say about it."""
+    planner = Planner(RX150, by_ruler(CELL), CELL.bin_values(), speed=0.7)
+    moves: list[list[ServoCycle]] = []
+    cycles: list[ServoCycle] = []
+    bench.arm.listen(cycles.append)
+    bench.arm.follow(planner.home(bench.arm.state().positions))
+    for goal in (*ordinary_moves(RX150, 90.0), np.array(RX150.ready)):
+        cycles.clear()
+        bench.arm.follow(planner.plan_move("identify", bench.arm.state().positions, goal))
+        moves.append(list(cycles))
+    bench.arm.listen(None)
+    return identify(RX150, moves)
+
+
+def strokes(bench: Bench, model: ArmDescription, count: int = 10) -> Array:
+    """Descents from above to a grasp at full speed: ndarray of shape (count, 2): largest sideways distance from the
+    vertical in the lowest 30 mm, and distance of the grasp point from where it should be at the end, mm.
+    """
+    rng = np.random.default_rng(99)
+    out = []
+    q = np.array(RX150.ready)
+    bench.arm.follow(Planner(model, by_ruler(CELL), CELL.bin_values()).home(bench.arm.state().positions))
+    for _ in range(count):
+        radius, azimuth = rng.uniform(155.0, 255.0), rng.uniform(-0.85, 0.85)
+        goal = (radius * np.cos(azimuth), radius * np.sin(azimuth), GRASP)
+        low = inverse(model, goal, roll=rng.uniform(-1.2, 1.2))[0]
+        down = stroke(model, low, LIFT).reversed()
+        way: list[Array] = []
+        bench.arm.listen(partial(_note, bench, way))
+        bench.arm.follow(generate(model, join(model, [line(model, q, down.start), down], [(100.0, 30.0)]), "descent"))
+        bench.arm.listen(None)
+        track = np.array(way)
+        deep = track[track[:, 2] < GRASP + 30.0]
+        sideways = np.linalg.norm(deep[:, :2] - goal[:2], axis=1).max()
+        out.append((sideways, float(np.linalg.norm(track[-1] - goal))))
+        bench.arm.follow(generate(model, join(model, [stroke(model, low, LIFT)], []), "lift"))
+        q = down.start
+    return np.array(out)
+
+
+def _note(bench: Bench, way: list[Array], cycle: ServoCycle) -> None:
+    way.append(bench.tool())
+
+
+def main() -> None:
+    """Print the figures."""
+    cells = int(sys.argv[1]) if len(sys.argv) > 1 else 4
+    gain, mass = (float(sys.argv[k]) if len(sys.argv) > k else 0.2 for k in (2, 3))
+    figures: dict[str, list[Array]] = {"before": [], "after": []}
+    for seed in range(cells):
+        bench = Bench(seed, gain, mass)
+        figures["before"].append(strokes(bench, RX150))
+        found = learn(bench)
+        figures["after"].append(strokes(bench, identified(RX150, found.joints, found.link_scale)))
+        described = [joint.dynamics.stiffness for joint in RX150.joints]
+        ratio = np.array([joint.stiffness for joint in found.joints]) / described
+        print(f"cell {seed}: gains {bench.gains.round(2).tolist()}, found {ratio.round(2).tolist()}")
+        print(f"  links {np.round(bench.cell.imperfections.link_scale, 2).tolist()}, ", end="")
+        print(f"found {np.round(found.link_scale, 2).tolist()}; {found.samples} samples")
+        off, left = ((rms * 1e3).round(1).tolist() for rms in (found.before, found.after))
+        print(f"  model off by, mrad: {off} -> {left}")
+        for name, rows in figures.items():
+            print(f"  {name}: {_line(rows[-1])}")
+    for name, rows in figures.items():
+        print(f"all {name}: {_line(np.concatenate(rows))}")
+
+
+def _line(rows: Array) -> str:
+    vertical, tip = rows.T
+    return (
+        f"vertical off by median {np.median(vertical):.2f}, worst {vertical.max():.2f} mm; tip at the grasp off by "
+        f"median {np.median(tip):.2f}, p95 {np.percentile(tip, 95):.2f}, worst {tip.max():.2f} mm"
+    )
+
+
+if __name__ == "__main__":
+    main()
