@@ -16,6 +16,7 @@ ROOMS = {
     "detect": "detect",
     "board": "board",
     "calibrate": "calibrate",
+    "evaluate": "evaluate",
     "home": "motion",
     "jog": "motion",
     "bins": "bins",
@@ -32,6 +33,8 @@ ROOMS = {
     "reload": "control",
     "alarms": "control",
     "service": "service",
+    "teach": "teach",
+    "classes": "classes",
 }
 
 
