@@ -28,7 +28,7 @@ def test_a_histogram_counts_every_value_once(values: list[float]) -> None:
     heights = [float(bar.attrib["height"]) for bar in svg.iter("rect")]
     if values:
         top = max(heights)
-        counts = [round(height / top * max(1, max(values.count(v) for v in values))) for height in heights]
+        counts = [round(height / top * max(values.count(v) for v in values)) for height in heights]
         assert sum(counts) == len(values)
 
 

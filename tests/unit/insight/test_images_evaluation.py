@@ -114,7 +114,7 @@ def test_the_worst_come_first() -> None:
 
 @pytest.mark.parametrize("objects", [[{"class": "blob", "centre_px": [1, 2], "bbox_px": [0, 0, 1, 1]}], [{}], 3])
 def test_annotations_of_another_kind_are_refused_by_name(tmp_path: Path, objects: object) -> None:
-    with pytest.raises(InputError, match="annotations.json"):
+    with pytest.raises(InputError, match=r"annotations\.json"):
         list(annotated_pictures(folder_with(tmp_path, objects)))
 
 
