@@ -1,0 +1,279 @@
+"""One run from the lock to the report: devices, calibration, cycle, figures, pictures.
+
+The order is fixed: nothing is opened before the configuration is known to be sound, nothing moves before
+devices and calibration are, and whatever happens the devices are released and the record is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import cv2
+
+from controller import __version__
+from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera, rehearsed
+from controller.calibration.store import load_calibration
+from controller.config.arm import load_arm
+from controller.config.cell import CellConfig
+from controller.cycle.preflight import check
+from controller.cycle.rehearsal import AIR_SPEED, AirPlanner, Rehearsal
+from controller.cycle.rig import Observer, Rig
+from controller.cycle.sorter import Sorter
+from controller.domain import ArmDescription, CellCalibration, PickPlan
+from controller.errors import CalibrationMissing, SafetyStop
+from controller.insight.report import annotated, page, side_by_side
+from controller.insight.statistics import Album, Statistics
+from controller.ledger.sqlite import SqliteLedger
+from controller.motion.planner import Planner
+from controller.service.folders import new_run_folder, state_folder
+from controller.service.lock import InstanceLock
+from controller.service.self_calibration import calibrate_cell
+from controller.service.standing_service import Service
+from controller.vision.recipe import load_recipe
+
+_UNCLEAN_RUNS = 3
+"""Runs cut off in a row (killed, or without power) after which somebody must look before the next start."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line asks of a run; see `controller run --help`.
+
+    Attributes:
+        watch: Called when the devices are open and calibrated, before the work begins: the observers it returns
+            are told of the run, and it may put its own watchers before the devices.
+    """
+
+    mode: Mode
+    config: CellConfig
+    out: Path | None = None
+    replay: Path | None = None
+    calibration: Path | None = None
+    parts: int | None = None
+    seed: int = 0
+    level: Level = Level.DYNAMIC
+    real_time: bool = False
+    start: bool = False
+    rehearsal: Rehearsal = Rehearsal.NONE
+    observers: tuple[Observer, ...] = ()
+    watch: Callable[[Devices], Sequence[Observer]] = lambda devices: ()
+    confirm: Callable[[PickPlan], bool] = lambda plan: True
+    say: Callable[[str], None] = lambda line: None
+
+
+class Session:
+    """One run; `stop` may be called from another thread or a signal handler."""
+
+    def __init__(self, options: RunOptions) -> None:
+        self.options = options
+        self._config = options.config
+        if options.mode is Mode.REPLAY or options.rehearsal is not Rehearsal.NONE:
+            # The next picture shows the next table, or there is none: everything in this one is worked off first.
+            cycle = options.config.cycle.model_copy(update={"picks_per_look": 100})
+            self._config = options.config.model_copy(update={"cycle": cycle})
+        self._stop = threading.Event()
+        self._end: Callable[[], None] = lambda: None
+
+    def stop(self) -> None:
+        """End the run soon: the arm slows down along its path, parks, and lets go of the torque."""
+        self._stop.set()
+        self._end()
+
+    def run(self) -> dict[str, Any]:
+        """Sort, and say how it went; on a real cell, sort whenever an operator starts it, until it is to end.
+
+        Returns:
+            The figures of the contract of `controller run --json`.
+
+        Raises:
+            SorterError: The run could not begin, or the cell ended in FAULT (after the arm was made safe and
+                the report written).
+        """
+        arm = load_arm(self._config.arm.description)
+        recipe = load_recipe(self._config.vision.recipe)
+        for warning in check(self._config, arm, self._planner(arm, self._by_ruler())):
+            self.options.say(f"warning: {warning}")
+        folder = state_folder()
+        real, rehearsal = self.options.mode is Mode.REAL, self.options.rehearsal
+        sorting = rehearsal is Rehearsal.NONE
+        if not real or not sorting or self.options.out is not None:
+            folder = new_run_folder(self.options.out, datetime.now())
+        with InstanceLock(folder), contextlib.ExitStack() as stack:
+            if real and not sorting:
+                stack.enter_context(InstanceLock(state_folder()))
+            service = Service.standing_by(self._config, stack) if real and sorting else None
+            devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder, service))
+            stack.callback(devices.close)
+            if not real or sorting:
+                devices.open()
+            calibration, calibration_s = self._calibrated(devices, folder)
+            if not sorting:
+                devices = rehearsed(devices, arm, self._backend_options(folder, service), rehearsal)
+                stack.callback(devices.close)
+                devices.open()
+            if rehearsal is Rehearsal.DRY:
+                # The arm that records is as it is described: none of its joints is mounted askew.
+                calibration = replace(calibration, joint_offsets={})
+            ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
+            statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
+            watchers = self.options.watch(devices)
+            rig = Rig(
+                self._config,
+                devices.camera,
+                devices.arm,
+                devices.clock,
+                ledger,
+                calibration,
+                recipe,
+                self._planner(arm, calibration),
+                observers=(*devices.observers, statistics, album, *self.options.observers, *watchers),
+                confirm=self.options.confirm,
+            )
+            ledger.begin_run(
+                software_version=__version__,
+                config_hash=self._config.digest,
+                calibration_id=calibration.calibration_id,
+                mode=str(self.options.mode),
+                arm=arm.name,
+                seed=self.options.seed if self.options.mode is Mode.SIM else None,
+            )
+            began, began_wall = devices.clock.now(), monotonic()
+            sorter = self._operate(rig, service, ledger) if service is not None else self._sort(rig)
+            ledger.end_run(f"fault: {sorter.fault}" if sorter and sorter.fault else "stopped")
+            report = self._head(arm)
+            report |= statistics.summary(sorter.left if sorter else 0, sorter.cycle_times if sorter else [])
+            report |= {
+                "calibration_s": round(calibration_s, 3),
+                "sim_s": round(devices.clock.now() - began, 3),
+                "wall_s": round(monotonic() - began_wall, 3),
+                "out": str(folder),
+            }
+            self._write(folder, report, album)
+            if sorter is not None and sorter.fault is not None:
+                raise sorter.fault
+            return report
+
+    # --- at work --------------------------------------------------------------------------------------
+
+    def _sort(self, rig: Rig) -> Sorter:
+        """Sort once, until nothing is left to pick."""
+        sorter = Sorter(rig, until_empty=True)
+        self._end = sorter.request_stop
+        if self._stop.is_set():
+            sorter.request_stop()
+        sorter.run()
+        return sorter
+
+    def _operate(self, rig: Rig, service: Service, ledger: SqliteLedger) -> Sorter | None:
+        """Sort whenever an operator starts the cell, until it is to end; the last sorter, if there was one."""
+        operation = service.operation(self._config, rig.calibration.calibration_id)
+        self._end = operation.end
+        if self._stop.is_set():
+            operation.end()
+        rig = replace(rig, observers=(*rig.observers, operation))
+        sorter: Sorter | None = None
+        filled: Counter[str] = Counter()
+        starts = itertools.count(1)
+        with service.open_to_operators(operation):
+            operation.ready(fault=_safe_mode(ledger), may_hold_part=bool(ledger.indeterminate))
+            service.notifier.ready("STOPPED: controller start begins to sort")
+            if self.options.start:
+                operation.start()
+            else:
+                self.options.say("STOPPED: everything is ready and nothing moves; controller start begins to sort")
+            while operation.wait_for_start(service.cycle.progress):
+                prefix = f"start{next(starts)}-t"
+                sorter = Sorter(rig, most_parts=self.options.parts, filled=filled, target_prefix=prefix)
+                operation.sort(sorter)
+                if self.options.parts is not None or (self.options.start and sorter.fault is not None):
+                    break
+            service.notifier.stopping("parked")
+        return sorter
+
+    # --- parts of a run -------------------------------------------------------------------------------
+
+    def _head(self, arm: ArmDescription) -> dict[str, Any]:
+        head: dict[str, Any] = {"mode": str(self.options.mode), "arm": arm.name}
+        if self.options.mode is Mode.SIM:
+            head |= {"level": str(self.options.level), "seed": self.options.seed}
+        if self.options.rehearsal is not Rehearsal.NONE:
+            head |= {"rehearsal": str(self.options.rehearsal)}
+        return head
+
+    def _backend_options(self, folder: Path, service: Service | None) -> BackendOptions:
+        return BackendOptions(
+            out=folder,
+            watch_clock=service.watch if service is not None else lambda clock: clock,
+            replay=self.options.replay,
+            parts=8 if self.options.parts is None else self.options.parts,
+            seed=self.options.seed,
+            level=self.options.level,
+            real_time=self.options.real_time,
+        )
+
+    def _planner(self, arm: ArmDescription, calibration: CellCalibration) -> Planner:
+        speed = self._config.arm.speed_percent / 100.0
+        if self.options.rehearsal is Rehearsal.AIR:
+            return AirPlanner(arm, calibration, self._config.bin_values(), speed=min(speed, AIR_SPEED))
+        return Planner(arm, calibration, self._config.bin_values(), speed=speed)
+
+    def _by_ruler(self) -> CellCalibration:
+        camera, T_table_camera = nominal_camera(self._config)
+        return CellCalibration("by ruler", camera, T_table_camera, self._config.table.T_base_table())
+
+    def _calibrated(self, devices: Devices, folder: Path) -> tuple[CellCalibration, float]:
+        """The calibration to work with, and how long its making took (s of the cell's clock)."""
+        given = self.options.calibration
+        if given is not None:
+            calibration = load_calibration(given)
+            if self.options.mode is Mode.REPLAY:
+                # The arm that records is as it is described: none of its joints is mounted askew.
+                calibration = replace(calibration, joint_offsets={})
+            return calibration, 0.0
+        if devices.presenter is not None:
+            self.options.say("calibrating the cell by showing it boards")
+            began = devices.clock.now()
+            devices.clear_table()
+            made = calibrate_cell(devices, self._config, folder / "calibration", self.options.say)
+            devices.lay_parts()
+            return made, devices.clock.now() - began
+        if self.options.mode is Mode.REPLAY:
+            self.options.say("warning: no --calibration: positions are by ruler and data sheet, good to centimetres")
+            return self._by_ruler(), 0.0
+        stored = state_folder() / "calibration"
+        if stored.is_dir():
+            return load_calibration(stored), 0.0
+        raise CalibrationMissing(
+            f"no calibration in {stored}", "make one with controller calibrate, or name one with --calibration"
+        )
+
+    def _write(self, folder: Path, report: dict[str, Any], album: Album) -> None:
+        pictures = {}
+        for name, look in (("before", album.first), ("after", album.last)):
+            if look is not None:
+                pictures[name] = annotated(look)
+        if album.at_work is not None and "before" in pictures:
+            pictures["cell"] = side_by_side(album.at_work, pictures["before"])
+        for name, picture in pictures.items():
+            cv2.imwrite(str(folder / f"{name}.png"), picture)
+        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
+
+
+def _safe_mode(ledger: SqliteLedger) -> SafetyStop | None:
+    """Why the cell must be looked at before it may start, after it was cut off too often; or None."""
+    if ledger.unclean_runs < _UNCLEAN_RUNS:
+        return None
+    return SafetyStop(
+        f"the last {ledger.unclean_runs} runs were cut off", "find out why, then controller reset and start"
+    )
