@@ -10,6 +10,7 @@ Verdonck and De Schutter, "Dynamic Model Identification for Industrial Robots", 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,7 +22,7 @@ from scipy.signal import savgol_filter
 from controller.domain import ArmDescription, Array, ServoCycle, ServoDynamics
 from controller.errors import CalibrationPoorFit
 from controller.motion import dynamics
-from controller.motion.kinematics import chain, inverse
+from controller.motion.kinematics import TOP_DOWN, chain, inverse, solutions
 from controller.motion.trajectory import PERIOD
 
 # Logs are smoothed over 110 ms: longer than the servos' own 45 ms of lag, shorter than a move's phases.
@@ -31,6 +32,7 @@ _TICK = 2.0 * np.pi / 4096.0
 _NOISE = _TICK / 2.0  # rad: rounding of a position, and what the smoothing leaves
 # How far an arm may be from its description: a fifth in masses and gains, twice in what nobody publishes.
 _PRIOR_LOAD, _PRIOR_OTHER = 0.2, 1.0
+_PITCHES = (TOP_DOWN, 1.3, 1.0)  # rad below the horizon
 _FEWEST = 300  # samples of a joint in motion
 _LARGEST_CHANGE = 1.0  # a share: beyond it the description belongs to another arm
 _WORST_RESIDUAL = 0.02  # rad
@@ -62,6 +64,9 @@ def ordinary_moves(arm: ArmDescription, height: float) -> tuple[Array, ...]:
     Args:
         arm: The arm.
         height: Height of the grasp point in `base` at the lowest, mm.
+
+    Raises:
+        Unreachable: The arm's joints do not allow them.
     """
     places = (
         (0.34, -0.7, 0.0, 0.4), (0.45, 0.5, 0.0, -0.9), (0.36, 0.9, 0.12, 1.1), (0.46, -0.4, 0.0, 0.2),
@@ -69,12 +74,21 @@ def ordinary_moves(arm: ArmDescription, height: float) -> tuple[Array, ...]:
     )  # fmt: skip
     c = chain(arm)
     reach = c.start + c.upper[0] + c.fore[0] + c.hand
-    found = []
-    for radius, azimuth, rise, roll in places:
-        r = radius * reach
-        position = (c.axis[0] + r * np.cos(azimuth), r * np.sin(azimuth), height + rise * reach)
-        found.append(inverse(arm, position, roll=roll if len(arm.joints) > 4 else 0.0)[0])
-    return tuple(found)
+    return tuple(
+        _posture(arm, radius * reach, azimuth, height + rise * reach, roll) for radius, azimuth, rise, roll in places
+    )
+
+
+def _posture(arm: ArmDescription, radius: float, azimuth: float, height: float, roll: float) -> Array:
+    """Pointing down at a place about the waist, or as steeply as the joints allow. Raises Unreachable."""
+    axis = chain(arm).axis[0]
+    position = (axis + radius * math.cos(azimuth), radius * math.sin(azimuth), height)
+    roll = roll if len(arm.joints) > 4 else 0.0
+    for pitch in _PITCHES:
+        found = solutions(arm, position, pitch, roll, within=True)
+        if found:
+            return np.array(found[0][1])
+    return np.asarray(inverse(arm, position, roll=roll)[0])
 
 
 def identify(arm: ArmDescription, moves: Sequence[Sequence[ServoCycle]]) -> Identification:
