@@ -91,7 +91,14 @@ class CameraLost(CameraError):
 
 
 class PictureUnusable(CameraError):
-    """Frames come, but what they show cannot be trusted: black, overexposed, frozen or cut short."""
+    """Frames come, but what they show cannot be trusted.
+
+    `code` says why: `black`, `overexposed`, `frozen`, `torn`, `light`, `covered`, `moved` or `soft`.
+    """
+
+    def __init__(self, device: str, operation: str, code: str, cause: str, remedy: str = "") -> None:
+        super().__init__(device, operation, cause, remedy)
+        self.code = code
 
 
 class CameraEnded(CameraLost):

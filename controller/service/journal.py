@@ -20,7 +20,8 @@ from typing import TextIO
 from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import Outcome, PickPlan, Result
-from controller.errors import BusError, SorterError
+from controller.errors import SorterError
+from controller.service.faults import fault_code
 
 JOURNAL = Path("/run/systemd/journal/socket")
 IDENTIFIER = "sorting-controller"
@@ -166,15 +167,17 @@ class CycleLog(Observer, logging.Filter):
         )
         self._cycle_id = ""
 
+    def held(self, cause: SorterError, at: float) -> None:
+        """Log what holds the cell."""
+        _log.warning("held: %s", cause, extra={"message_id": FAULT_ID, "fault_code": fault_code(cause)})
+
+    def resumed(self, at: float) -> None:
+        """Log that it is over."""
+        _log.info("what the cell held for is over")
+
     def faulted(self, error: SorterError, at: float) -> None:
         """Log the fault that has latched."""
         _log.error("%s", error, extra={"message_id": FAULT_ID, "fault_code": fault_code(error)})
-
-
-def fault_code(error: SorterError) -> str:
-    """A short name of a failure: its class in small letters, and how the bus failed."""
-    name = "".join(f"_{c.lower()}" if c.isupper() else c for c in type(error).__name__).lstrip("_")
-    return f"{name}_{error.code}" if isinstance(error, BusError) else name
 
 
 def set_up_logging(

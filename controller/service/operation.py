@@ -22,7 +22,7 @@ from controller.domain import Outcome, PickPlan, Result
 from controller.errors import SorterError
 from controller.service.alarms import Alarm, AlarmLog
 from controller.service.controls import Refused, Status
-from controller.service.journal import fault_code
+from controller.service.faults import fault_code, remedy
 from controller.service.packml import Pending, packml
 
 _BEAT = 1.0  # s between two signs of life while waiting for a start
@@ -32,7 +32,7 @@ _REASONS = {
     State.STOPPED: "waiting for start",
     State.HOMING: "the arm goes where it is out of the camera's sight",
     State.IDLE: "nothing to pick; the next look comes by itself",
-    State.HELD: "the camera is away, or somebody has paused",
+    State.HELD: "somebody has paused",
 }
 
 
@@ -99,6 +99,7 @@ class Operation(Observer):
         self._state: State | None = None
         self._pending: Pending | None = None
         self._latched: SorterError | None = None
+        self._held: SorterError | None = None
         self._work: Work | None = None
         self._started = self._ended = self._may_hold = False
         self._counts: Counter[str] = Counter()
@@ -140,6 +141,7 @@ class Operation(Observer):
         finally:
             with self._changed:
                 self._work, self._started, self._pending = None, False, None
+                self._held = None
                 self._latched = self._latched or work.fault
             self._enter(State.STOPPED if self._latched is None else State.FAULT)
 
@@ -155,7 +157,8 @@ class Operation(Observer):
     def status(self) -> Status:
         """What the cell is doing."""
         with self._changed:
-            reason = str(self._latched) if self._latched is not None else _REASONS.get(self._state, "sorting")
+            cause = self._latched or self._held
+            reason = str(cause) if cause is not None else _REASONS.get(self._state, "sorting")
             return Status(
                 packml=packml(self._state, self._pending),
                 state=self._state,
@@ -203,14 +206,14 @@ class Operation(Observer):
         work.request_pause()
 
     def resume(self) -> None:
-        """Go on after a pause.
+        """Go on after a pause, or when what the cell holds for was put right.
 
         Raises:
-            Refused: It was not paused.
+            Refused: It was not paused and does not hold.
         """
         with self._changed:
             work = self._working()
-            if self._pending is not Pending.PAUSE:
+            if self._pending is not Pending.PAUSE and self._held is None:
                 raise Refused("nobody has paused", "controller status says what the cell waits for")
             self._pending = None
         work.resume()
@@ -265,13 +268,28 @@ class Operation(Observer):
             self._counts[str(outcome.result)] += 1
         self._may_hold = outcome.result in (Result.INDETERMINATE, Result.ABORTED)
 
+    def held(self, cause: SorterError, at: float) -> None:
+        """Raise the alarm of what the cell holds for."""
+        with self._changed:
+            before, self._held = self._held, cause
+        if before is not None and fault_code(before) != fault_code(cause):
+            self.alarm_log.clear(fault_code(before))
+        self.alarm_log.raise_(fault_code(cause), cause.cause, remedy(cause))
+
+    def resumed(self, at: float) -> None:
+        """The alarm of what the cell held for is over."""
+        with self._changed:
+            cause, self._held = self._held, None
+        if cause is not None:
+            self.alarm_log.clear(fault_code(cause))
+
     def faulted(self, error: SorterError, at: float) -> None:
         """Latch the first fault, and raise its alarm."""
         with self._changed:
             self._latched = self._latched or error
             self._pending = Pending.ABORT if self._started else None
             at_rest = self._state is not None and not self._started
-        self.alarm_log.raise_(fault_code(error), error.cause, error.remedy)
+        self.alarm_log.raise_(fault_code(error), error.cause, remedy(error))
         if at_rest:
             self._enter(State.FAULT)
 

@@ -58,17 +58,18 @@ BRIGHTNESS = (0.7, 1.4)
 LEAST_SHARPNESS = 0.8
 
 
-def trouble(change: Change) -> tuple[str, str] | None:
-    """Cause and remedy when the scenery says that positions or colours can no longer be trusted."""
+def trouble(change: Change) -> tuple[str, str, str] | None:
+    """Code (see `PictureUnusable`), cause and remedy when the scenery says that positions or colours can no longer be trusted."""
     low, high = BRIGHTNESS
     if not low <= change.brightness <= high:
-        return f"the light is {change.brightness:.0%} of what it was", "restore the light, or calibrate again"
+        return "light", f"the light is {change.brightness:.0%} of what it was", "restore the light, or calibrate again"
     if change.agreement < LEAST_AGREEMENT:
-        return "the view is another one, or something stands in it", "clear the view, or calibrate again"
+        return "covered", "the view is another one, or something stands in it", "clear the view, or calibrate again"
     if change.displacement > MOVED:
-        return f"the camera was moved: the picture is off by {change.displacement:.1f} px", "calibrate again"
+        return "moved", f"the camera was moved: the picture is off by {change.displacement:.1f} px", "calibrate again"
     if change.sharpness < LEAST_SHARPNESS:
-        return f"the picture is soft: edges have {change.sharpness:.0%} of their strength", "clean and focus the lens"
+        cause = f"the picture is soft: edges have {change.sharpness:.0%} of their strength"
+        return "soft", cause, "clean and focus the lens"
     return None
 
 

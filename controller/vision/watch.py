@@ -72,7 +72,7 @@ class WatchedCamera:
                 if self.torn == torn_before:
                     raise
                 cause = "the lower part of every picture is missing"
-                raise PictureUnusable(error.device, "look", cause, "check the cable and the USB hub") from error
+                raise PictureUnusable(error.device, "look", "torn", cause, "check the cable and the USB hub") from error
             if not is_torn(frame.image):
                 self._judge(frame)
                 return frame
@@ -83,10 +83,16 @@ class WatchedCamera:
         # A copy, so that the frame itself is not kept alive.
         sample = np.ascontiguousarray(frame.image[::_STEP, ::_STEP])
         if is_black(sample):
-            raise PictureUnusable(frame.source, "look", "the picture is black", "check the light and the lens cap")
+            raise PictureUnusable(
+                frame.source, "look", "black", "the picture is black", "check the light and the lens cap"
+            )
         if is_clipped(sample):
             raise PictureUnusable(
-                frame.source, "look", "most of the picture is overexposed", "shade the light or lower the exposure"
+                frame.source,
+                "look",
+                "overexposed",
+                "most of the picture is overexposed",
+                "shade the light or lower the exposure",
             )
         # The noise of a sensor never repeats: one picture equal to the bit is no coincidence but a frozen stream.
         frozen = self._last is not None and np.array_equal(sample, self._last)
@@ -95,6 +101,7 @@ class WatchedCamera:
             raise PictureUnusable(
                 frame.source,
                 "look",
+                "frozen",
                 "the camera is frozen: the picture equals the last one to the bit",
                 "unplug it and plug it in again",
             )

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from controller.cycle.machine import State
-from controller.errors import BusError, CameraLost, SafetyStop, SorterError
-from controller.service.journal import FAULT_ID, CycleLog, JournalHandler, Lines, RateLimit, fault_code, set_up_logging
+from controller.errors import CameraLost
+from controller.service.journal import FAULT_ID, CycleLog, JournalHandler, Lines, RateLimit, set_up_logging
 
 
 @pytest.fixture
@@ -174,17 +174,6 @@ def test_a_fault_is_logged_with_its_code(
     entry = read()
     assert (entry["FAULT_CODE"], entry["MESSAGE_ID"]) == ("camera_lost", FAULT_ID)
     assert entry["MESSAGE"] == "/dev/video0: read: unplugged: plug it in"
-
-
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (SafetyStop("look"), "safety_stop"),
-        (BusError("b", "read", "timeout", "no answer"), "bus_error_timeout"),
-    ],
-)
-def test_codes_are_named_after_the_failure(error: SorterError, code: str) -> None:
-    assert fault_code(error) == code
 
 
 def test_the_journal_is_used_only_when_stderr_goes_there(tmp_path: Path) -> None:
