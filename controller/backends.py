@@ -18,15 +18,18 @@ from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
 from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
+from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import ArmDescription, Array, Frame, Point, Shape, TruePart
 from controller.errors import DeviceError, InputError
 from controller.geometry import CameraModel, transform
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
+from controller.vision.watch import WatchedCamera
 
 if TYPE_CHECKING:
     from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
+    from sim_backends.fault_script import FaultDirector
 
 
 _MINIATURE = (640, 360)
@@ -60,6 +63,7 @@ class BackendOptions:
         seed: Seed of the simulated world.
         level: Imperfections of the simulated world.
         real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
+        faults: Script of what goes wrong in the simulated cell.
         watch_clock: Wraps the clock of real devices, for whoever watches that the cell makes progress.
     """
 
@@ -69,6 +73,7 @@ class BackendOptions:
     seed: int = 0
     level: Level = Level.DYNAMIC
     real_time: bool = False
+    faults: Path | None = None
     watch_clock: Callable[[Clock], Clock] = lambda clock: clock
 
 
@@ -86,6 +91,7 @@ class Devices:
             the clock is not simulated here.
         touches: When (s) the arm touched what it should not touch, and what touched what; where that can be known.
         observers: Watchers a set needs for itself.
+        script: Lets a script's faults happen, where one was given.
         closers: Called in reverse order by `close`.
     """
 
@@ -101,6 +107,7 @@ class Devices:
     on_step: Callable[[Callable[[float], None]], None] | None = None
     touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     observers: tuple[Observer, ...] = ()
+    script: FaultDirector | None = None
     closers: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self) -> None:
@@ -161,7 +168,7 @@ def real_devices(config: CellConfig, arm: ArmDescription, options: BackendOption
         fps=config.camera.frames_per_second,
         settings=config.camera.settings,
     )
-    return Devices(camera, DynamixelArm(arm, SerialStream(config.arm.port), clock), clock)
+    return Devices(WatchedCamera(camera, clock), DynamixelArm(arm, SerialStream(config.arm.port), clock), clock)
 
 
 def replay_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
@@ -206,14 +213,30 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
     from sim_backends.virtual_dynamixel import BusStream, Fault, ServoSpec, VirtualBus
 
     spec = _cell_spec(config, arm, options)
+    if options.faults is not None and (options.real_time or options.level is not Level.DYNAMIC):
+        raise InputError(
+            "faults can be scripted in simulated time and at level dynamic only",
+            "leave --real-time out, and use --level dynamic: without noise a frozen picture is like any other",
+        )
     if options.real_time:
         return _served_devices(spec, arm, options)
     cell = simulated_cell(spec)
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
     bus.faults.set_rate(Fault.DROP, cell.imperfections.packet_loss)
+    camera: Camera = cell.camera
+    script = None
+    if options.faults is not None:
+        from sim_backends.fault_script import FaultDirector, load_script
+        from sim_backends.faulty_camera import FaultyCamera
+
+        faulty = FaultyCamera(camera, cell.clock, ())
+        camera, script = faulty, FaultDirector(load_script(options.faults), cell.world, bus, faulty)
+    if options.level is Level.DYNAMIC:
+        # Pictures without noise may equal one another to the bit when nothing has moved.
+        camera = WatchedCamera(camera, cell.clock)
     return Devices(
-        cell.camera,
+        camera,
         DynamixelArm(arm, BusStream(bus), cell.clock),
         cell.clock,
         presenter=cell.presenter,
@@ -224,7 +247,20 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         miniature=lambda: cell.overview(_MINIATURE),
         on_step=cell.plant.on_step,
         touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
+        observers=() if script is None else (_Prompter(script),),
+        script=script,
     )
+
+
+class _Prompter(Observer):
+    """Tells a script of faults what the cell does."""
+
+    def __init__(self, script: FaultDirector) -> None:
+        self._script = script
+
+    def entered(self, state: State, at: float) -> None:
+        """The cell entered a state."""
+        self._script.entered(state.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,12 +306,15 @@ class PaintedTable:
         self.clock: Clock = empty.clock
         self.presenter: Presenter = empty.presenter
 
-    def show(self, parts: Sequence[tuple[Shape, Point, float]], seed: int) -> tuple[Frame, Sequence[TruePart]]:
+    def show(
+        self, parts: Sequence[tuple[Shape, Point, float]], widths: Sequence[float], seed: int
+    ) -> tuple[Frame, Sequence[TruePart]]:
         """A picture of parts laid at (shape, (x, y) in `table`, yaw), mm and rad; and where they truly are.
 
         Args:
             parts: What to lay.
-            seed: Of their sizes and colours.
+            widths: Extents between the jaws to choose from, mm.
+            seed: Of widths and colours.
         """
         from sim_backends.parts import COLOURS, Part
 
@@ -284,7 +323,7 @@ class PaintedTable:
         laid = []
         for shape, center, yaw in parts:
             x, y, _ = transform(self._T_base_table, [*center, 0.0])
-            colour, grip = random.choice(list(COLOURS)), random.choice(self._spec.grips)
+            colour, grip = random.choice(list(COLOURS)), random.choice(widths)
             laid.append(Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn))
         cell = _simulated_cell()(self._spec, laid)
         cell.camera.open()

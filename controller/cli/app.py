@@ -16,7 +16,6 @@ ROOMS = {
     "detect": "detect",
     "board": "board",
     "calibrate": "calibrate",
-    "evaluate": "evaluate",
     "home": "motion",
     "jog": "motion",
     "bins": "bins",

@@ -1,108 +1,79 @@
-"""`controller evaluate`: accuracy against truth."""
+"""`controller evaluate`: accuracy against truth, in simulation, on annotated pictures, and the paper's table."""
 
 from __future__ import annotations
 
-import json
-import sys
+import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import cv2
 import typer
-from rich.table import Table
 
 from controller.backends import Level
 from controller.cli.config import default_config
-from controller.cli.output import stdout
+from controller.cli.evaluate_images import evaluate_pictures
+from controller.cli.evaluate_paper import evaluate_paper
+from controller.cli.evaluate_sim import Job, evaluate_sim
 from controller.config.cell import load_cell
-from controller.errors import InputError
-from controller.insight.paper_table import looks, table
-from controller.vision.annotate import annotate
 
-group = typer.Typer(help="Measure accuracy against truth.", no_args_is_help=True)
+group = typer.Typer(
+    help="Measure accuracy against truth: a simulated world's, or that of annotated pictures.",
+    invoke_without_command=True,
+)
 
 
 @group.callback()
-def _group() -> None:
-    pass
-
-
-@group.command()
-def paper(
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Pictures; 50 for a figure to publish.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of cameras, lenses, lamps and parts.")] = 0,
-    level: Annotated[Level, typer.Option(help="How imperfect the painted pictures are.")] = Level.STATIC,
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the table and one marked picture a mounting into DIR.")
+def evaluate(
+    context: typer.Context,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="Sort simulated tables and compare with the world's truth.")
+    ] = False,
+    images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Look at the pictures of DIR and compare with its annotations.json."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
-) -> None:
-    """The paper's Table 1, by its method and by ours, on painted pictures of a lens that distorts.
+    recipe: Annotated[str, typer.Option(metavar="precise|paper|FILE", help="How to look at pictures.")] = "precise",
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="How many tables to sort, a seed each.")] = 10,
+    parts: Annotated[int, typer.Option(min=1, max=200, help="Parts on each table.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first table.")] = 0,
+    level: Annotated[Level, typer.Option(help="How imperfect the simulated world is.")] = Level.DYNAMIC,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell's TOML file.")] = None,
+    arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; as many as processors unless given.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write JSON and an HTML page into DIR.")] = None,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Compare with the evaluation.json of another evaluation.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
+) -> int:
+    """Measure accuracy against truth.
 
-    Example: controller evaluate paper --frames 50 --report paper-table
-
-    Coordinates are the paper's: left-handed, from the platform's upper right corner.
+    Examples: controller evaluate --sim --frames 100 --level dynamic --report evaluation |
+    controller evaluate --sim --compare evaluation/evaluation.json | controller evaluate --images photos --report seen
     """
-    config = load_cell(default_config())
-    found = []
-    for look in looks(config, frames, seed, level, lambda line: print(line, file=sys.stderr)):
-        found.append(look)
-        if len(found) % 10 == 0 or len(found) == frames:
-            print(f"{len(found)} of {frames} pictures", file=sys.stderr)
-    result = {"seed": seed, "level": str(level), **table(found)}
-    if report is not None:
-        try:
-            report.mkdir(parents=True, exist_ok=True)
-            (report / "paper.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{report}: cannot be written ({error.strerror})", "choose another folder") from error
-        for index, look in enumerate(found[::5]):
-            cv2.imwrite(str(report / f"mounting-{index + 1}.png"), annotate(look.frame.image, look.detections))
-    if as_json:
-        print(json.dumps(result))
-    else:
-        _show(result)
-
-
-def _show(result: dict[str, Any]) -> None:
-    grid = Table(box=None, pad_edge=False)
-    for heading in _HEADINGS:
-        grid.add_column(heading, justify="left" if heading in ("shape", "method") else "right", no_wrap=True)
-    for shape, row in result["rows"].items():
-        printed = row["printed"]
-        percent = (f"{value:.2f}" for value in printed["error_percent"])
-        off = sum((d - a) ** 2 for d, a in zip(printed["detected_mm"], row["actual_mm"], strict=True)) ** 0.5
-        seen = _pair(printed["detected_mm"])
-        grid.add_row(shape, _pair(row["actual_mm"], 0), "paper, printed", "", seen, *percent, f"{off:.2f}")
-        for method, title in _METHODS.items():
-            mine = row[method]
-            grid.add_row("", "", title, str(mine["found"]), _pair(mine["detected_mm"]), *_numbers(mine))
-    mean = result["mean"]
-    printed = mean["printed"]
-    grid.add_section()
-    percent = (f"{value:.3f}" for value in printed["error_percent"])
-    turn = f"{printed['orientation_percent']} %"
-    grid.add_row("mean", "", "paper, printed", "", "", *percent, f"{printed['error_mm']:.2f}", "", turn)
-    for method, title in _METHODS.items():
-        grid.add_row("", "", title, f"{mean[method]['found']}/{result['parts']}", "", *_numbers(mean[method]))
-    stdout().print(grid)
-    print(f"{result['frames']} pictures, level {result['level']}, seed {result['seed']}; detected: mean over them.")
-
-
-_HEADINGS = ("shape", "actual, mm", "method", "found", "detected, mm", "X, %", "Y, %", "mm", "p95 mm", "turn, deg")
-_METHODS = {"paper": "its method", "model": "its equations, our outlines", "ours": "ours"}
-
-
-def _pair(point: list[float] | None, digits: int = 2) -> str:
-    return "-" if point is None else f"({point[0]:.{digits}f}, {point[1]:.{digits}f})"
-
-
-def _numbers(figures: dict[str, Any]) -> list[str]:
-    values = [*(figures["error_percent"] or (None, None)), figures["error_mm"], figures["p95_mm"]]
-    values.append(figures["orientation_deg"])
-    return ["-" if value is None else f"{value:.2f}" for value in values]
+    if context.invoked_subcommand is not None:
+        return 0
+    if sim == (images is not None):
+        raise typer.BadParameter("say what to evaluate: either --sim or --images DIR")
+    if images is not None:
+        return evaluate_pictures(images, recipe, report, as_json)
+    cell = load_cell(config or default_config())
+    if arm is not None:
+        cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm})})
+    head = {
+        "mode": "sim",
+        "arm": cell.arm.description,
+        "arm_given": arm is not None,
+        "config": None if config is None else str(config),
+        "level": str(level),
+        "parts_per_table": parts,
+        "first_seed": seed,
+    }
+    tables = [Job(cell, parts, number, level) for number in range(seed, seed + frames)]
+    processes = min(jobs or len(os.sched_getaffinity(0)), frames)
+    return evaluate_sim(head, tables, processes, report, compare, as_json)
 
 
 def add_to(app: typer.Typer) -> None:
-    """Add the command to the program."""
+    """Add the commands to the program."""
+    group.command("paper")(evaluate_paper)
     app.add_typer(group, name="evaluate")

@@ -52,6 +52,8 @@ PRINTED_PERCENT, PRINTED_ORIENTATION = (10.017, 5.875), 2.79
 CORNER = (250.0, 150.0)
 #: The paper's recipe and equations; its equations on the outlines that ours finds; ours.
 METHODS = ("paper", "model", "ours")
+#: Across their flats, mm: wider ones would touch, for its rectangle and hexagon lie 67 mm apart.
+WIDTHS = (36.0, 43.0)
 #: Pictures from one mounting of the camera.
 A_MOUNTING = 5
 _NEAR = 40.0  # mm: a detection further off is of another part
@@ -114,7 +116,7 @@ def looks(
             (shape, _to_table(row.actual, origin), float(random.uniform(-math.pi, math.pi)))
             for shape, row in TABLE_1.items()
         ]
-        frame, parts = table.show(laid, seed=1000 * seed + index)
+        frame, parts = table.show(laid, WIDTHS, seed=1000 * seed + index)
         truth = {part.shape: Measured(_to_paper(part.center, origin), part.shape, part.yaw) for part in parts}
         theirs = detect(frame, recipes[0]).detections
         detected = detect(frame, recipes[1], plane=calibration.plane(_SHAPE_PLANE)).detections
