@@ -306,15 +306,12 @@ class PaintedTable:
         self.clock: Clock = empty.clock
         self.presenter: Presenter = empty.presenter
 
-    def show(
-        self, parts: Sequence[tuple[Shape, Point, float]], widths: Sequence[float], seed: int
-    ) -> tuple[Frame, Sequence[TruePart]]:
+    def show(self, parts: Sequence[tuple[Shape, Point, float]], seed: int) -> tuple[Frame, Sequence[TruePart]]:
         """A picture of parts laid at (shape, (x, y) in `table`, yaw), mm and rad; and where they truly are.
 
         Args:
             parts: What to lay.
-            widths: Extents between the jaws to choose from, mm.
-            seed: Of widths and colours.
+            seed: Of their sizes and colours.
         """
         from sim_backends.parts import COLOURS, Part
 
@@ -323,7 +320,7 @@ class PaintedTable:
         laid = []
         for shape, center, yaw in parts:
             x, y, _ = transform(self._T_base_table, [*center, 0.0])
-            colour, grip = random.choice(list(COLOURS)), random.choice(widths)
+            colour, grip = random.choice(list(COLOURS)), random.choice(self._spec.grips)
             laid.append(Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn))
         cell = _simulated_cell()(self._spec, laid)
         cell.camera.open()

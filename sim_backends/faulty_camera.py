@@ -64,11 +64,20 @@ class FaultyCamera:
     def __init__(self, camera: Camera, clock: Clock, faults: Iterable[CameraFault]) -> None:
         self._camera = camera
         self._clock = clock
-        self._faults = tuple(faults)
-        for fault in self._faults:
-            if fault.kind not in _KINDS:
-                raise ValueError(f"no camera fault {fault.kind!r}; there are {', '.join(sorted(_KINDS))}")
+        self._faults: list[CameraFault] = []
         self._shown: Image | None = None
+        for fault in faults:
+            self.strike(fault)
+
+    def strike(self, fault: CameraFault) -> None:
+        """Add a fault to the script.
+
+        Raises:
+            ValueError: There is no such fault.
+        """
+        if fault.kind not in _KINDS:
+            raise ValueError(f"no camera fault {fault.kind!r}; there are {', '.join(sorted(_KINDS))}")
+        self._faults.append(fault)
 
     def open(self) -> None:
         """Open the camera, unless it is gone."""

@@ -39,6 +39,8 @@ _LOOK_EVERY = 5
 _REMEMBER_EVERY = 50
 # Torque at which the play of a gear lies wholly on one flank, Nm.
 _FLANK_TORQUE = 0.04
+# Friction that no servo overcomes, Nm: 20 times the stall torque of the strongest.
+_BLOCKED = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +115,7 @@ class World:
         self._callbacks: list[Callable[[float], None]] = []
         self._friction_damping = self._model.dof_damping.copy()
         self._servos = self._find_servos(imperfections)
+        self._friction: dict[int, float] = {}
         self._part_qpos = np.array(
             [self._model.joint(part_name(i)).qposadr[0] + np.arange(7) for i in range(len(parts))], dtype=np.intp
         ).reshape(-1, 7)
@@ -265,22 +268,51 @@ class World:
 
     def set_aside(self) -> None:
         """Take every part off the table, out of the way and the picture."""
-        for index, address in enumerate(self._part_qpos):
-            row, column = divmod(index, 8)
-            at = (1.2 + 0.15 * row, 0.15 * column - 0.6, FLOOR * MM + self.parts[index].height * MM / 2.0)
-            self._put(address, (*at, 1.0, 0.0, 0.0, 0.0))
+        for index in range(len(self.parts)):
+            self._carry_off(index)
         self._aside = True
         self._settled()
 
     def put_back(self) -> None:
         """Put every part where it lay at the start."""
-        for part, address in zip(self.parts, self._part_qpos, strict=True):
-            turn = (math.cos(part.yaw / 2.0), 0.0, 0.0, math.sin(part.yaw / 2.0))
-            self._put(address, (part.x * MM, part.y * MM, part.height * MM / 2.0, *turn))
+        for index in range(len(self.parts)):
+            self._lay(index)
         self._aside = False
         self._settled()
 
+    def lay_back(self, index: int) -> None:
+        """Put one part where it lay at the start: it has slipped out of the jaws."""
+        self._lay(index)
+        self._settled()
+
+    def take_away(self, index: int) -> None:
+        """Take one part off the table for good."""
+        self._carry_off(index)
+        self._settled()
+
+    def nearest_to_tool(self) -> int:
+        """Index of the part whose centre is nearest to the grasp point."""
+        apart = self.part_poses()[:, :3] - self.tool_pose()[:3, 3]
+        return int(np.linalg.norm(apart, axis=1).argmin())
+
+    def block(self, servo_id: int, blocked: bool) -> None:
+        """Hold one shaft as if something solid stood in its way, or let it go again."""
+        dof = self._servos[servo_id].dof
+        if dof not in self._friction:
+            self._friction[dof] = float(self._model.dof_frictionloss[dof])
+        self._model.dof_frictionloss[dof] = _BLOCKED if blocked else self._friction[dof]
+
     # --- inside -------------------------------------------------------------------------------------------
+
+    def _lay(self, index: int) -> None:
+        part = self.parts[index]
+        turn = (math.cos(part.yaw / 2.0), 0.0, 0.0, math.sin(part.yaw / 2.0))
+        self._put(self._part_qpos[index], (part.x * MM, part.y * MM, part.height * MM / 2.0, *turn))
+
+    def _carry_off(self, index: int) -> None:
+        row, column = divmod(index, 8)
+        at = (1.2 + 0.15 * row, 0.15 * column - 0.6, FLOOR * MM + self.parts[index].height * MM / 2.0)
+        self._put(self._part_qpos[index], (*at, 1.0, 0.0, 0.0, 0.0))
 
     def _put(self, address: NDArray[np.intp], pose: tuple[float, ...]) -> None:
         self._data.qpos[address] = pose

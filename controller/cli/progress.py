@@ -73,6 +73,14 @@ class Progress(Observer):
         at = outcome.finished_at - (self._began or 0.0)
         self.say(f"{at:7.1f} s  {what:<10} {where}  {outcome.result}: {outcome.reason}")
 
+    def held(self, cause: SorterError, at: float) -> None:
+        """Say what the cell holds for."""
+        self.say(f"{at - (self._began or 0.0):7.1f} s  HELD: {cause}")
+
+    def resumed(self, at: float) -> None:
+        """Say that it is over."""
+        self.say(f"{at - (self._began or 0.0):7.1f} s  goes on")
+
     def faulted(self, error: SorterError, at: float) -> None:
         """Say the fault."""
         self.say(f"{at - (self._began or 0.0):7.1f} s  FAULT: {error}")

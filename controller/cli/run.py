@@ -54,6 +54,9 @@ def run(
     real_time: Annotated[
         bool, typer.Option("--real-time", help="Simulation: world in its own process, bus on a pseudo-terminal.")
     ] = False,
+    faults: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Simulation: a script of what goes wrong; see configs/faults.")
+    ] = None,
     video: Annotated[Path | None, typer.Option(metavar="FILE", help="Simulation: film the run into FILE.mp4.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="New folder for the record and the report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
@@ -68,6 +71,8 @@ def run(
     mode = _mode(sim, replay, real_time)
     if video is not None and (mode is not Mode.SIM or real_time):
         raise typer.BadParameter("--video belongs to --sim, without --real-time")
+    if faults is not None and mode is not Mode.SIM:
+        raise typer.BadParameter("--faults belongs to --sim")
     rehearsal = _rehearsal(mode, dry_run, air_run)
     cell = _cell(config, mode, arm, speed)
     taught = taught_file(bins, sim=mode is not Mode.REAL)
@@ -88,6 +93,7 @@ def run(
             real_time=real_time,
             start=start,
             rehearsal=rehearsal,
+            faults=faults,
             observers=(progress, *([_Intentions(progress.say)] if dry_run else [])),
             watch=film.watch if film is not None else lambda devices: (),
             confirm=_ask if step else lambda plan: True,

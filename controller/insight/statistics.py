@@ -15,7 +15,6 @@ from controller.config.cell import CellConfig
 from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer
 from controller.domain import LocatedObject, Outcome, PickPlan, Result, TruePart
-from controller.errors import SorterError
 from controller.geometry import angle_difference
 from controller.ports import Truth
 
@@ -68,7 +67,6 @@ class Statistics(Observer):
         self.outcomes: list[Outcome] = []
         self.attempts = 0
         self.errors: list[Error] = []
-        self.faults: list[dict[str, Any]] = []
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """Count the attempt, and compare where the part was thought to be with where it was."""
@@ -81,11 +79,6 @@ class Statistics(Observer):
     def concluded(self, outcome: Outcome) -> None:
         """Keep the outcome."""
         self.outcomes.append(outcome)
-
-    def faulted(self, error: SorterError, at: float) -> None:
-        """Keep the fault."""
-        fault = {"code": type(error).__name__, "at_s": round(at, 3), "action": "stopped", "cause": str(error)}
-        self.faults.append(fault)
 
     def summary(self, left_seen: int, cycle_times: Sequence[float]) -> dict[str, Any]:
         """The counts of the contract of `controller run --json`; lengths mm, angles degrees, times s.
@@ -108,7 +101,6 @@ class Statistics(Observer):
                 for outcome in self.outcomes
             ),
             "cycle_s": spread(cycle_times, ("median", "p95")),
-            "faults": self.faults,
         }
         figures["parts"] = sum(figures[key] for key in ("sorted", "rejected", "left", "dropped", "indeterminate"))
         if self._truth is not None:

@@ -35,6 +35,8 @@ from controller.insight.report import annotated, page, side_by_side
 from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
 from controller.motion.planner import Planner
+from controller.service.failpoints import LedgerWithFailpoints
+from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.service.self_calibration import calibrate_cell
@@ -65,6 +67,7 @@ class RunOptions:
     real_time: bool = False
     start: bool = False
     rehearsal: Rehearsal = Rehearsal.NONE
+    faults: Path | None = None
     observers: tuple[Observer, ...] = ()
     watch: Callable[[Devices], Sequence[Observer]] = lambda devices: ()
     confirm: Callable[[PickPlan], bool] = lambda plan: True
@@ -126,17 +129,18 @@ class Session:
                 calibration = replace(calibration, joint_offsets={})
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
             statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
+            faults = FaultRecord()
             watchers = self.options.watch(devices)
             rig = Rig(
                 self._config,
                 devices.camera,
                 devices.arm,
                 devices.clock,
-                ledger,
+                ledger if devices.script is None else LedgerWithFailpoints(ledger, devices.script),
                 calibration,
                 recipe,
                 self._planner(arm, calibration),
-                observers=(*devices.observers, statistics, album, *self.options.observers, *watchers),
+                observers=(*devices.observers, statistics, faults, album, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
             )
             ledger.begin_run(
@@ -153,6 +157,7 @@ class Session:
             report = self._head(arm)
             report |= statistics.summary(sorter.left if sorter else 0, sorter.cycle_times if sorter else [])
             report |= {
+                "faults": faults.faults,
                 "calibration_s": round(calibration_s, 3),
                 "sim_s": round(devices.clock.now() - began, 3),
                 "wall_s": round(monotonic() - began_wall, 3),
@@ -218,6 +223,7 @@ class Session:
             parts=8 if self.options.parts is None else self.options.parts,
             seed=self.options.seed,
             level=self.options.level,
+            faults=self.options.faults,
             real_time=self.options.real_time,
         )
 

@@ -59,7 +59,9 @@ LEAST_SHARPNESS = 0.8
 
 
 def trouble(change: Change) -> tuple[str, str, str] | None:
-    """Code (see `PictureUnusable`), cause and remedy when the scenery says that positions or colours can no longer be trusted."""
+    """Why the scenery says that positions or colours can no longer be trusted: code (see `PictureUnusable`), cause,
+    remedy.
+    """
     low, high = BRIGHTNESS
     if not low <= change.brightness <= high:
         return "light", f"the light is {change.brightness:.0%} of what it was", "restore the light, or calibrate again"
