@@ -51,7 +51,7 @@ def detect(
     if calibration is None and (camera is not None or table is not None):
         raise InputError("--camera and --table belong together", "give both, or neither")
     failed = 0
-    files = _files(images)
+    files = picture_files(images)
     shown = track(files, "looking", console=stderr(), disable=len(files) < 3 or not sys.stderr.isatty())
     for index, path in enumerate(shown, 1):
         try:
@@ -72,7 +72,8 @@ def detect(
     return 1 if failed else 0
 
 
-def _files(images: list[Path]) -> list[Path]:
+def picture_files(images: list[Path]) -> list[Path]:
+    """The files named, and the pictures in the folders named; InputError where a folder holds none."""
     files: list[Path] = []
     for path in images:
         if path.is_dir():

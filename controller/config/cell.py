@@ -16,6 +16,11 @@ from controller.domain import Array, Bin, Detection, Shape
 from controller.errors import ConfigError
 from controller.geometry import invert, pose, transform
 
+ColourName = Literal[
+    "red", "orange", "yellow", "green", "cyan", "blue", "purple", "pink", "brown", "black", "gray", "white"
+]
+"""What vision calls colours: the names of its palette."""
+
 
 class ArmSection(StrictModel):
     """The arm and its port."""
@@ -91,6 +96,8 @@ class VisionSection(StrictModel):
     """Objects below this confidence are left alone."""
     smallest_mm: float = Field(5.0, ge=0.0, le=200.0)
     """Anything whose long side is shorter is dirt: neither a part nor in the way of one."""
+    classes: str = ""
+    """Folder of taught classes; without, the cell's own, which is read when a sorting rule asks for a label."""
 
 
 class PartSection(StrictModel):
@@ -125,7 +132,9 @@ class RuleSection(StrictModel):
     shape: Shape | None = None
     """Only this shape."""
     label: str | None = None
-    """Only what vision labels so."""
+    """Only what vision labels so: a taught class."""
+    colour: ColourName | None = None
+    """Only parts of this colour."""
     size_mm: tuple[float, float] | None = None
     """Only parts whose long side lies in [from, to)."""
 
@@ -135,11 +144,13 @@ class RuleSection(StrictModel):
             raise ConfigError("size_mm is not [from, to] with from < to", "put the smaller size first")
         return self
 
-    def matches(self, shape: Shape, label: str, long_side: float) -> bool:
-        """Whether the rule speaks of an object of this shape, label and long side (mm)."""
+    def matches(self, shape: Shape, label: str, long_side: float, colour: str | None = None) -> bool:
+        """Whether the rule speaks of an object of this shape, label, long side (mm) and colour."""
         if self.shape is not None and shape is not self.shape:
             return False
         if self.label is not None and label != self.label:
+            return False
+        if self.colour is not None and colour != self.colour:
             return False
         return self.size_mm is None or self.size_mm[0] <= long_side < self.size_mm[1]
 
@@ -213,10 +224,10 @@ class CellConfig(StrictModel):
         """All bins."""
         return tuple(bin_.value() for bin_ in self.bins)
 
-    def bin_for(self, shape: Shape, label: str, long_side: float) -> str | None:
-        """Name of the bin for an object of this shape, label and long side (mm), or None to let it lie."""
+    def bin_for(self, shape: Shape, label: str, long_side: float, colour: str | None = None) -> str | None:
+        """Name of the bin for an object of this shape, label, long side (mm) and colour, or None to let it lie."""
         for rule in self.sorting.rules:
-            if rule.matches(shape, label, long_side):
+            if rule.matches(shape, label, long_side, colour):
                 return rule.bin
         return None if self.sorting.otherwise == "leave" else self.sorting.otherwise
 
@@ -237,6 +248,12 @@ class CellConfig(StrictModel):
         angles = np.arange(low - widen, high + widen + 1e-9, math.radians(step_deg))
         ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])
         return transform(invert(T_base_table), np.vstack([outer * ring, (inner * ring)[::-1]]))[:, :2]
+
+    @property
+    def taught_labels(self) -> frozenset[str]:
+        """Labels that rules ask for and no shape has: classes that must have been taught."""
+        asked = {rule.label for rule in self.sorting.rules if rule.label is not None}
+        return frozenset(asked - {str(shape) for shape in Shape})
 
     @property
     def digest(self) -> str:

@@ -11,6 +11,7 @@ from controller.domain import CellCalibration, Detection, Frame, LocatedObject, 
 from controller.errors import SorterError
 from controller.motion.planner import Planner
 from controller.ports import Arm, Camera, Clock, Ledger
+from controller.vision.classes.taught import Taught
 from controller.vision.recipe import Recipe
 
 
@@ -76,3 +77,4 @@ class Rig:
     planner: Planner
     observers: tuple[Observer, ...] = ()
     confirm: Callable[[PickPlan], bool] = field(default=lambda plan: True)
+    classes: Taught | None = None

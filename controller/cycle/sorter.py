@@ -188,7 +188,9 @@ class Sorter:
         assert self._frame is not None
         if self._region is None or self._region.shape != self._frame.image.shape[:2]:
             self._region = region_mask(self.rig.config, self.rig.calibration, self._frame.size)
-        self._detected = detect(self._frame, self.rig.recipe, plane=self._plane, region=self._region)
+        self._detected = detect(
+            self._frame, self.rig.recipe, plane=self._plane, region=self._region, classes=self.rig.classes
+        )
         self.rig.clock.charge(self.rig.config.cycle.vision_budget_s)
         return "detected"
 
@@ -331,7 +333,9 @@ class Sorter:
         return sorted(wanted, key=lambda thing: (tried.get(thing.target_id, 0), -thing.detection.score))
 
     def _bin_for(self, thing: LocatedObject) -> Bin | None:
-        name = self.rig.config.bin_for(thing.shape, thing.detection.label, thing.size[0])
+        name = self.rig.config.bin_for(
+            thing.shape, thing.detection.label, thing.size[0], thing.detection.colour
+        )
         for bin_ in self.rig.config.bin_values():
             if bin_.name == name and self._filled[name] < bin_.capacity:
                 return bin_

@@ -20,7 +20,7 @@ from controller.config.cell import CellConfig
 from controller.cycle.rig import Look, Observer
 from controller.domain import Outcome, PickPlan, Point, Result, TruePart
 from controller.insight.report import annotated
-from controller.insight.statistics import error_of, nearest
+from controller.insight.statistics import error_of, nearest, right_bin
 from controller.insight.timeline import Timeline
 from controller.ports import Truth
 
@@ -184,8 +184,7 @@ class Trial(Observer):
             return str(outcome.result)
         if part is None or part.place not in {bin_.name for bin_ in self.config.bins}:
             return "silent"
-        right = self.config.bin_for(part.shape, str(part.shape), part.size[0])
-        return "correct" if part.place == right else "missorted"
+        return "correct" if part.place == right_bin(self.config, part) else "missorted"
 
     # --- what went wrong ------------------------------------------------------------------------------
 

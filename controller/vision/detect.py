@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from controller.domain import Descriptors, Detection, Frame, Shape
 from controller.geometry import PlaneMap, wrap
+from controller.vision.appearance.look import look, named
+from controller.vision.classes.taught import Taught
 from controller.vision.morphology import Component
 from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
@@ -43,6 +45,7 @@ def detect(
     background: NDArray[np.uint8] | None = None,
     region: NDArray[np.uint8] | None = None,
     trace: MutableMapping[str, NDArray[np.generic]] | None = None,
+    classes: Taught | None = None,
 ) -> Detected:
     """Objects in a frame; an empty table gives an empty tuple.
 
@@ -53,9 +56,11 @@ def detect(
         background: ndarray of shape (H, W, 3), dtype uint8: the same view of the empty table.
         region: ndarray of shape (H, W), dtype uint8: only objects whose centre lies where it is not 0 are returned.
         trace: Receives the image after every stage by its name.
+        classes: Taught classes, whose names become labels.
 
     Raises:
-        InputError: The recipe needs a picture of the empty table and got none of this size.
+        InputError: The recipe needs a picture of the empty table and got none of this size, or a gray card that
+            cannot be measured; or the classes were taught in mm and there is no plane.
     """
     watch = Stopwatch()
     image = frame.image
@@ -73,6 +78,13 @@ def detect(
         detections = [item for item in detections if _inside(region, item.center_px)]
     detections.sort(key=lambda item: (item.center_px[1], item.center_px[0]))
     watch.lap("describe")
+    if recipe.appearance.colour or recipe.appearance.texture or classes is not None:
+        surfaces = look(image, detections, recipe.appearance)
+        detections = named(detections, surfaces, recipe.appearance)
+        watch.lap("appearance")
+        if classes is not None:
+            detections = classes.label(detections, surfaces, plane)
+            watch.lap("classes")
     return Detected(tuple(detections), watch.result())
 
 

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from controller.config.files import named_or_path
 from controller.config.loader import StrictModel, load_toml
 from controller.errors import ConfigError
+from controller.vision.appearance.settings import Appearance
 
 
 class Precise(StrictModel):
@@ -200,6 +201,7 @@ class Recipe(StrictModel):
     precise: Precise = Precise()
     stages: tuple[Stage, ...] = ()
     ranges: Ranges = Ranges()
+    appearance: Appearance = Appearance()
 
     @model_validator(mode="after")
     def _complete(self) -> Recipe:

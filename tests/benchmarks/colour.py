@@ -93,13 +93,13 @@ def lamps(seed: int, settings: Appearance, table: tuple[int, int, int]) -> tuple
 def real(folder: Path) -> None:
     """Colours in photographs, against their annotations."""
     recipe = load_recipe("precise")
-    for annotations in sorted(folder.glob("*/annotations.json")):
-        for entry in json.loads(annotations.read_text(encoding="utf-8"))["images"]:
+    for path in sorted(folder.glob("*/annotations.json")):
+        for entry in json.loads(path.read_text(encoding="utf-8"))["images"]:
             wanted = [thing for thing in entry["objects"] if "colour" in thing]
             if not wanted:
                 continue
             try:
-                picture = read_image(annotations.parent / entry["file"])
+                picture = read_image(path.parent / entry["file"])
             except InputError:
                 continue
             found = detect(Frame(1, 0.0, picture), recipe).detections
@@ -115,7 +115,7 @@ def real(folder: Path) -> None:
                     right += 1
                 else:
                     wrong[f"{name} -> {seen[int(np.argmin(near))].name}"] += 1
-            line = {"picture": f"{annotations.parent.name}/{entry['file']}", "coloured": len(wanted), "right": right}
+            line = {"picture": f"{path.parent.name}/{entry['file']}", "coloured": len(wanted), "right": right}
             print(json.dumps(line | {"not_found": missed, "wrong": dict(wrong)}), flush=True)
 
 
@@ -138,8 +138,9 @@ def main() -> None:
         ("nothing", Appearance(reference="none"), surfaces.TABLE),
     ):
         right, count, mistaken, times = lamps(arguments.seed, settings, table)
-        line = {"reference": title, "right_percent": round(100 * right / count, 2), "parts": count}
-        print(json.dumps(line | {"frame_of_12_ms": round(float(np.median(times)), 2), "wrong": dict(mistaken.most_common(6))}))
+        line: dict[str, object] = {"reference": title, "right_percent": round(100 * right / count, 2), "parts": count}
+        line |= {"frame_of_12_ms": round(float(np.median(times)), 2)}
+        print(json.dumps(line | {"wrong": dict(mistaken.most_common(6))}))
 
 
 if __name__ == "__main__":

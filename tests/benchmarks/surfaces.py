@@ -71,7 +71,7 @@ def paint(
         _lay(scene, thing)
     if light is not None:
         scene *= light
-    codes = coded(cv2.GaussianBlur(scene, (0, 0), blur))
+    codes = coded(np.asarray(cv2.GaussianBlur(scene, (0, 0), blur), np.float64))
     codes += noise * random.standard_normal(codes.shape)
     return np.asarray(np.clip(np.rint(codes), 0, 255), np.uint8)
 
@@ -148,7 +148,8 @@ def _bars(*boxes: tuple[float, float, float, float]) -> Floats:
     """The outline of touching boxes (x0, y0, x1, y1), by their picture."""
     mask = np.zeros((220, 220), np.uint8)
     for x0, y0, x1, y1 in boxes:
-        cv2.rectangle(mask, (round(110 + 100 * x0), round(110 + 100 * y0)), (round(110 + 100 * x1), round(110 + 100 * y1)), 255, -1)
+        low, high = (round(110 + 100 * x0), round(110 + 100 * y0)), (round(110 + 100 * x1), round(110 + 100 * y1))
+        cv2.rectangle(mask, low, high, (255,), -1)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return np.asarray((contours[0][:, 0] - 110.0) / 100.0, np.float64)
 

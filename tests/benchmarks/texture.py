@@ -82,7 +82,8 @@ def scene(random: np.random.Generator) -> tuple[Image, list[Thing], list[str], l
     size = (_GRID[0] * _CELL, _GRID[1] * _CELL)
     light_field = surfaces.field(size, 5500.0, float(random.uniform(0.6, 1.2)), 0.2, float(random.uniform(-3, 3)))
     blur = (0.5, 0.9)[int(random.integers(2))]
-    return surfaces.paint(things, size, random, light=light_field, blur=blur, noise=float(random.uniform(1, 4))), things, names, widths
+    noise = float(random.uniform(1, 4))
+    return surfaces.paint(things, size, random, light=light_field, blur=blur, noise=noise), things, names, widths
 
 
 def dataset(seed: int, scenes: int) -> tuple[NDArray[np.float32], list[str], Floats, float]:
@@ -116,7 +117,8 @@ def main() -> None:
     values, names, widths, time_ms = dataset(arguments.seed, arguments.views)
     said = texture.names_of(values)
     right = np.array([a == b for a, b in zip(names, said, strict=True)])
-    print(json.dumps({"views": len(names), "right_percent": round(100 * right.mean(), 2), "frame_of_20_ms": round(time_ms, 2)}))
+    share = round(100 * float(right.mean()), 2)
+    print(json.dumps({"views": len(names), "right_percent": share, "frame_of_20_ms": round(time_ms, 2)}))
     for low in range(20, 60, 10):
         chosen = (widths >= low) & (widths < low + 10)
         print(json.dumps({"width_px": [low, low + 10], "right_percent": round(100 * float(right[chosen].mean()), 2)}))

@@ -22,6 +22,9 @@ _COARSE = 4
 """The table is looked at on every fourth pixel."""
 _WIDER = 0.6
 """The table's colour is taken this share of the part's size around it."""
+_ALIKE, _NEARER, _LEAST_STEP = 0.1, 0.3, 10.0
+"""The table within a hole is like the table around the part: to a tenth of its brightness, or to 0.3 of the step
+from table to part where the outline of a hole was found; never better than noise allows (codes)."""
 _ENOUGH = 24
 _MOST = 400
 """Pixels of the table looked at around a part."""
@@ -94,7 +97,7 @@ def _cut(image: Image, item: Detection, table: NDArray[np.float64]) -> Patch | N
     inside = np.zeros(part.shape[:2], np.uint8)
     cv2.fillPoly(inside, [ring], (255,), shift=4)
     rim = max(_LEAST_RIM, _RIM * item.size_px[1])
-    core = inside.copy()
+    core: Mask = inside.copy()
     cv2.polylines(core, [np.rint(ring / 16.0).astype(np.int32)], True, (0,), max(1, 2 * round(rim) - 1))
     whole = cv2.countNonZero(core)
     if whole < 12:
@@ -102,21 +105,25 @@ def _cut(image: Image, item: Detection, table: NDArray[np.float64]) -> Patch | N
         if whole < 12:
             return None
     solid, material = inside, core
-    hole = _hole(part, core, whole, table)
+    step = _ALIKE * float(table.max())
+    if "hole" in item.flags:
+        # Found by its outline: what is nearer to the table than to the part shows, however uneven the light.
+        contrast = np.abs(np.median(part[core > 0], axis=0) - table).max()
+        step = max(step, _NEARER * float(contrast))
+    hole = _hole(part, core, whole, table, max(step, _LEAST_STEP))
     if hole is not None:
-        solid = cv2.bitwise_and(inside, cv2.bitwise_not(hole))
-        clear = cv2.bitwise_and(core, cv2.bitwise_not(cv2.dilate(hole, np.ones((5, 5), np.uint8))))
-        material = clear if cv2.countNonZero(clear) >= 12 else cv2.bitwise_and(core, cv2.bitwise_not(hole))
+        solid = inside & ~hole
+        clear = core & ~np.asarray(cv2.dilate(hole, np.ones((5, 5), np.uint8)), np.uint8)
+        material = clear if cv2.countNonZero(clear) >= 12 else core & ~hole
     return Patch(item, part, inside, material, solid, (int(low[0]), int(low[1])), table)
 
 
-def _hole(part: Image, core: Mask, whole: int, table: NDArray[np.float64]) -> Mask | None:
+def _hole(part: Image, core: Mask, whole: int, table: NDArray[np.float64], step: float) -> Mask | None:
     """255 where the table shows through the part, or None.
 
-    A hole has the table's colour to within a tenth, hangs together, and leaves something of the part: stripes or dots
-    of the table's colour are many, and a part of the table's own colour is no hole.
+    A hole has the table's colour to within a step (codes), hangs together, and leaves something of the part: stripes
+    or dots of the table's colour are many, and a part of the table's own colour is no hole.
     """
-    step = max(10.0, 0.1 * float(table.max()))
     like = cv2.bitwise_and(cv2.inRange(part, np.floor(table - step), np.ceil(table + step)), core)
     like = cv2.medianBlur(like, 3)
     count = cv2.countNonZero(like)

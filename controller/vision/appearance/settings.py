@@ -33,5 +33,5 @@ class Appearance(StrictModel):
         if self.reference == "patch" and self.patch_px is None:
             raise ConfigError("reference = patch, but patch_px is missing", "say where the gray card lies")
         if self.patch_px is not None and (min(self.patch_px[:2]) < 0 or min(self.patch_px[2:]) < 4):
-            raise ConfigError("patch_px is no rectangle inside the picture", "give [x, y, width, height], 4 px at least")
+            raise ConfigError("patch_px is no rectangle", "give [x, y, width, height], 4 px and more")
         return self

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -44,7 +45,8 @@ def descriptors(surface: Tiles) -> Floats32:
     weight = np.maximum(inside.sum(axis=(1, 2)), 1.0)
     tall = np.ascontiguousarray(shades.reshape(-1, SIDE))
     # Differences that reach beyond the material are left out.
-    deep = cv2.erode(np.ascontiguousarray(inside.reshape(-1, SIDE)), np.ones((3, 3), np.uint8)).reshape(inside.shape)
+    eroded = cv2.erode(np.ascontiguousarray(inside.reshape(-1, SIDE)), np.ones((3, 3), np.uint8))
+    deep = np.asarray(eroded, np.float32).reshape(inside.shape)
     deep[:, [0, -1]] = 0.0
     deep[:, :, [0, -1]] = 0.0
     deep_weight = np.maximum(deep.sum(axis=(1, 2)), 1.0)
@@ -53,7 +55,7 @@ def descriptors(surface: Tiles) -> Floats32:
     blurred = [tall]
     for sigma in BANDS:
         blurred.append(np.asarray(cv2.GaussianBlur(tall, (0, 0), sigma), np.float32))
-    for fine, coarse in zip(blurred, blurred[1:], strict=False):
+    for fine, coarse in pairwise(blurred):
         band = (fine - coarse).reshape(shades.shape)
         columns.append(np.log(np.sqrt((band * band * deep).sum(axis=(1, 2)) / deep_weight) + FLOOR))
     unit = shades / (total + FLOOR)[:, None, None] * inside
@@ -61,7 +63,7 @@ def descriptors(surface: Tiles) -> Floats32:
     columns.append((square * unit).sum(axis=(1, 2)) / weight)
     columns.append(np.log1p((square * square).sum(axis=(1, 2)) / weight))
     for level in (1, 2, 3):
-        columns += _agreement(blurred[level].reshape(shades.shape), deep)
+        columns += _agreement(np.asarray(blurred[level].reshape(shades.shape), np.float32), deep)
     own = np.arange(count)[:, None, None] * _PATTERNS
     keep = deep > 0.0
     for radius, level in zip(RADII, (1, 2), strict=True):
@@ -86,8 +88,8 @@ def _shades(image: NDArray[np.uint8], inside: Floats32) -> Floats32:
     _, axes = np.linalg.eigh(covariance)
     along = (rest @ axes[:, :, 2:])[:, :, 0]
     ramp = (np.arange(SIDE, dtype=np.float32) - (SIDE - 1) / 2.0) / SIDE
-    basis = np.stack([np.ones((SIDE, SIDE)), np.broadcast_to(ramp, (SIDE, SIDE)), np.broadcast_to(ramp[:, None], (SIDE, SIDE))])
-    basis = basis.reshape(3, -1).astype(np.float32)
+    across, down = np.meshgrid(ramp, ramp)
+    basis = np.stack([np.ones_like(across), across, down]).reshape(3, -1).astype(np.float32)
     weighted = keep[:, None, :] * basis
     normal = weighted @ basis.T + 1e-3 * np.eye(3, dtype=np.float32)
     plane = np.linalg.solve(normal, weighted @ along[:, :, None])[:, :, 0]
@@ -145,7 +147,7 @@ def _patterns(base: Floats32, radius: float, total: Floats32, count: int) -> NDA
     ]
     ones = sum(bits[1:], bits[0].copy())
     changes = bits[-1] ^ bits[0]
-    for a, b in zip(bits, bits[1:], strict=False):
+    for a, b in pairwise(bits):
         changes = changes + (a ^ b)
     codes = np.where(changes <= 2, ones, 9)
     return codes.reshape(count, SIDE, SIDE).astype(np.intp)

@@ -24,7 +24,7 @@ WEIGHTS = {"outline": 3.0, "form": 1.0, "size": 1.0, "colour": 1.5, "texture": 1
 """How much a block counts: its mean square difference is multiplied by this."""
 _SLACK = 2.0
 """A new view may lie this much further from the nearest taught one than they lie from one another."""
-_NEAREST, _FURTHEST = 0.9, 4.0
+_NEAREST, _FURTHEST = 1.1, 4.0
 """Bounds of that distance: a few views may by chance lie close together, or hold a stray one."""
 _CLEAR = 0.9
 """The runner-up must be further than the best by this ratio."""
@@ -118,3 +118,8 @@ def _scale(classes: Sequence[Floats32]) -> Floats32:
         spread = np.sqrt(pooled[at] ** 2 + FLOORS[name] ** 2)
         scale[at] = np.sqrt(WEIGHTS[name] / length / sum(WEIGHTS.values())) / spread
     return scale
+
+
+def scaled_by_noise(views: Floats32) -> Floats32:
+    """Views (n, LENGTH) in units in which noise and light alone make distances of about 1 to 4."""
+    return np.asarray(views * _scale([]), np.float32)

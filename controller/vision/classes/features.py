@@ -68,7 +68,7 @@ def features(detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMa
 
 
 def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[np.float64]:
-    """mm of the plane a pixel spans at each detection, or ones."""
+    """Millimetres of the plane a pixel spans at each detection, or ones."""
     if plane is None:
         return np.ones(len(detections))
     middles = np.array([item.center_px for item in detections])
@@ -83,12 +83,14 @@ def _circles(patch: Patch) -> Floats32:
     x, y = (c - o for c, o in zip(patch.detection.center_px, patch.corner, strict=True))
     reach = _REACH * math.sqrt(max(patch.detection.area_px, 1.0))
     # Two samples a ring, averaged: an edge that crosses a ring moves the figure evenly.
-    grid = cv2.warpPolar(patch.solid, (2 * _RINGS, _ANGLES), (x, y), reach, cv2.WARP_POLAR_LINEAR)
-    return (grid.reshape(_ANGLES, _RINGS, 2).astype(np.float32)).mean(axis=2) / np.float32(255.0)
+    # Without the flag, what lies outside the cut would be whatever the memory held.
+    how = cv2.WARP_POLAR_LINEAR | cv2.WARP_FILL_OUTLIERS
+    grid = cv2.warpPolar(patch.solid, (2 * _RINGS, _ANGLES), (x, y), reach, how)
+    return np.asarray(grid.reshape(_ANGLES, _RINGS, 2).mean(axis=2) / 255.0, np.float32)
 
 
 def _form(patch: Patch) -> tuple[float, float, float]:
-    """log of aspect, share of the hull that is filled, share of the outline that is hole."""
+    """Logarithm of the aspect, share of the hull that is filled, share of the outline that is hole."""
     outline = patch.detection.outline_px.astype(np.float32)
     hull = float(cv2.contourArea(cv2.convexHull(outline)))
     long, short = patch.detection.size_px
