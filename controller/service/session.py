@@ -41,6 +41,7 @@ from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.service.self_calibration import calibrate_cell
 from controller.service.standing_service import Service
+from controller.service.taught_classes import taught_classes
 from controller.vision.recipe import load_recipe
 
 _UNCLEAN_RUNS = 3
@@ -104,6 +105,7 @@ class Session:
         """
         arm = load_arm(self._config.arm.description)
         recipe = load_recipe(self._config.vision.recipe)
+        taught = taught_classes(self._config)
         for warning in check(self._config, arm, self._planner(arm, self._by_ruler())):
             self.options.say(f"warning: {warning}")
         folder = state_folder()
@@ -142,6 +144,7 @@ class Session:
                 self._planner(arm, calibration),
                 observers=(*devices.observers, statistics, faults, album, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
+                classes=taught,
             )
             ledger.begin_run(
                 software_version=__version__,
@@ -151,6 +154,8 @@ class Session:
                 arm=arm.name,
                 seed=self.options.seed if self.options.mode is Mode.SIM else None,
             )
+            if taught is not None:
+                ledger.note("classes", devices.clock.now(), digest=taught.digest, names=list(taught.classifier.names))
             began, began_wall = devices.clock.now(), monotonic()
             sorter = self._operate(rig, service, ledger) if service is not None else self._sort(rig)
             ledger.end_run(f"fault: {sorter.fault}" if sorter and sorter.fault else "stopped")
