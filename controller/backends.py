@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
-from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.machine import State
+from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.rig import Observer
 from controller.domain import ArmDescription, Array, Frame, Point, Shape, TruePart
 from controller.errors import DeviceError, InputError
@@ -27,6 +27,7 @@ from controller.ports import Arm, Camera, Clock, Presenter, Truth
 from controller.vision.watch import WatchedCamera
 
 if TYPE_CHECKING:
+    from drivers.camera.listing import CameraListing
     from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
     from sim_backends.fault_script import FaultDirector
@@ -286,6 +287,23 @@ class _CellTruth:
         return len(self.cell.collisions)
 
 
+def plugged_in() -> tuple[CameraListing, ...]:
+    """Cameras that the system knows; opens none."""
+    from drivers.camera.listing import list_cameras
+
+    return list_cameras()
+
+
+def lone_camera(config: CellConfig, device: str) -> tuple[Camera, Clock]:
+    """A camera without its cell, to aim and to focus it; not open."""
+    from drivers.camera.v4l2 import V4l2Camera
+    from drivers.clock import MonotonicClock
+
+    clock, section = MonotonicClock(), config.camera
+    size = section.width, section.height
+    return V4l2Camera(device, clock, size=size, fps=section.frames_per_second, settings=section.settings), clock
+
+
 class PaintedTable:
     """A simulated camera over a table on which parts are laid at will: for studies of seeing alone.
 
@@ -306,12 +324,15 @@ class PaintedTable:
         self.clock: Clock = empty.clock
         self.presenter: Presenter = empty.presenter
 
-    def show(self, parts: Sequence[tuple[Shape, Point, float]], seed: int) -> tuple[Frame, Sequence[TruePart]]:
+    def show(
+        self, parts: Sequence[tuple[Shape, Point, float]], widths: Sequence[float], seed: int
+    ) -> tuple[Frame, Sequence[TruePart]]:
         """A picture of parts laid at (shape, (x, y) in `table`, yaw), mm and rad; and where they truly are.
 
         Args:
             parts: What to lay.
-            seed: Of their sizes and colours.
+            widths: Extents between the jaws to choose from, mm.
+            seed: Of widths and colours.
         """
         from sim_backends.parts import COLOURS, Part
 
@@ -320,7 +341,7 @@ class PaintedTable:
         laid = []
         for shape, center, yaw in parts:
             x, y, _ = transform(self._T_base_table, [*center, 0.0])
-            colour, grip = random.choice(list(COLOURS)), random.choice(self._spec.grips)
+            colour, grip = random.choice(list(COLOURS)), random.choice(widths)
             laid.append(Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn))
         cell = _simulated_cell()(self._spec, laid)
         cell.camera.open()

@@ -14,6 +14,7 @@ from controller import __version__
 ROOMS = {
     "run": "run",
     "detect": "detect",
+    "camera": "camera",
     "board": "board",
     "calibrate": "calibrate",
     "home": "motion",
