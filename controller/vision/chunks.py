@@ -20,6 +20,8 @@ PARAMETERS = 8
 _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 _SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6, 8)}
+_BEFORE = {n: np.arange(-1, n - 1) for n in (3, 4, 6, 8)}
+_AFTER = {n: np.arange(1, n + 1) % n for n in (3, 4, 6, 8)}
 
 
 @dataclass(slots=True, eq=False)
@@ -43,6 +45,15 @@ class Batch:
         turn = self.base + np.where(self.round_[:, None], 0.0, self.q[rows, 5 + self.turn_of])
         reach = self.q[rows, 2 + self.size_of]
         return np.stack([np.cos(turn), np.sin(turn)], axis=-1), reach
+
+    def by_family(self) -> list[tuple[Family, NDArray[np.intp], Floats]]:
+        """The outlines of each family: which rows they are, and their own parameters (K, P)."""
+        out = []
+        for family in dict.fromkeys(self.families):
+            rows = np.array([i for i, other in enumerate(self.families) if other is family])
+            own = [*range(2 + family.sizes), *range(5, 5 + family.turns)]
+            out.append((family, rows, self.q[rows][:, own]))
+        return out
 
 
 def pad(family: Family, q: Floats) -> Floats:
@@ -88,40 +99,36 @@ def chunk_ends(batch: Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]:
     """Start, end (K, CHUNKS, 2) and outward normal of every chunk, px."""
     starts = np.empty((len(batch.q), CHUNKS, 2))
     ends = np.empty_like(starts)
-    for i, family in enumerate(batch.families):
-        q = unpad(family, batch.q[i])
+    for family, rows, q in batch.by_family():
         if family is CIRCLE:
             turn = np.arange(CHUNKS + 1) * 2.0 * math.pi / CHUNKS
             # Moved out a little, a chord straddles its arc evenly.
-            radius = q[2] * (1.0 + (math.pi / CHUNKS) ** 2 / 3.0)
-            ring = np.stack([q[0] + radius * np.cos(turn), q[1] + radius * np.sin(turn)], axis=1)
-            starts[i], ends[i] = ring[:-1], ring[1:]
+            radius = q[:, 2, None, None] * (1.0 + (math.pi / CHUNKS) ** 2 / 3.0)
+            ring = q[:, None, :2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+            starts[rows], ends[rows] = ring[:, :-1], ring[:, 1:]
             continue
         n = len(family.normals)
-        corner = corners_in_order(family, q)
-        margin = _CORNER * batch.blur[i]
-        side = corner - np.roll(corner, 1, axis=0)
-        length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-6)
-        cut = np.minimum(margin / length, 0.3)
-        pieces = CHUNKS // n
-        t = cut[:, None] + (1.0 - 2.0 * cut[:, None]) * np.linspace(0.0, 1.0, pieces + 1)
-        points = np.roll(corner, 1, axis=0)[:, None] + side[:, None] * t[..., None]
-        starts[i] = points[:, :-1].reshape(-1, 2)
-        ends[i] = points[:, 1:].reshape(-1, 2)
+        corner = corners(family, q)
+        before = corner[:, _BEFORE[n]]
+        side = corner - before
+        length = np.maximum(np.hypot(side[..., 0], side[..., 1]), 1e-6)
+        cut = np.minimum(_CORNER * batch.blur[rows, None] / length, 0.3)[..., None]
+        t = cut + (1.0 - 2.0 * cut) * np.linspace(0.0, 1.0, CHUNKS // n + 1)
+        points = before[:, :, None] + side[:, :, None] * t[..., None]
+        starts[rows] = points[:, :, :-1].reshape(-1, CHUNKS, 2)
+        ends[rows] = points[:, :, 1:].reshape(-1, CHUNKS, 2)
     normals, _ = batch.geometry()
     if maps.plane is None:
         center = maps.centers[batch.index][:, None]
         return starts + center, ends + center, normals
-    a, b, tip = np.empty_like(starts), np.empty_like(starts), np.empty_like(starts)
-    for i, k in enumerate(batch.index):
-        middle = 0.5 * (starts[i] + ends[i]) + normals[i]
-        mapped = maps.to_pixels(int(k), np.concatenate([starts[i], ends[i], middle]))
-        a[i], b[i], tip[i] = mapped[:CHUNKS], mapped[CHUNKS : 2 * CHUNKS], mapped[2 * CHUNKS :]
+    middle = 0.5 * (starts + ends) + normals
+    mapped = maps.all_to_pixels(batch.index, np.concatenate([starts, ends, middle], axis=1))
+    a, b, tip = mapped[:, :CHUNKS], mapped[:, CHUNKS : 2 * CHUNKS], mapped[:, 2 * CHUNKS :]
     outward = tip - 0.5 * (a + b)
     along = b - a
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     across *= np.sign(np.sum(across * outward, axis=-1, keepdims=True))
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    across /= np.maximum(np.hypot(across[..., 0], across[..., 1])[..., None], 1e-9)
     return a, b, across
 
 
@@ -131,56 +138,63 @@ def chunk_middles(family: Family, q: Floats) -> Floats:
         turn = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
         return np.stack([q[0] + q[2] * np.cos(turn), q[1] + q[2] * np.sin(turn)], axis=1)
     n = len(family.normals)
-    corner = corners_in_order(family, q)
+    corner = corners(family, q[None])[0]
     before = np.roll(corner, 1, axis=0)
     t = (np.arange(CHUNKS // n) + 0.5) / (CHUNKS // n)
     return np.asarray((before[:, None] + (corner - before)[:, None] * t[:, None]).reshape(-1, 2))
 
 
-def corners_in_order(family: Family, q: Floats) -> Floats:
-    """Corner k (S, 2) lies between side k and side k + 1 of the family's own order."""
-    turns = q[2 + family.sizes :][family.turn_of] + family.normals
-    reach = q[2 + family.size_of]
-    following, reach_2 = np.roll(turns, -1), np.roll(reach, -1)
-    det = np.sin(following - turns)
+def corners(family: Family, q: Floats) -> Floats:
+    """Corners (K, S, 2) of outlines q (K, P): corner k lies between side k and side k + 1 of the family's order."""
+    after = _AFTER[len(family.normals)]
+    turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
+    reach = q[:, 2 + family.size_of]
+    sin, cos, reach_2 = np.sin(turns), np.cos(turns), reach[:, after]
+    sin_2, cos_2 = sin[:, after], cos[:, after]
+    det = sin_2 * cos - cos_2 * sin
     det = np.where(np.abs(det) < 1e-6, 1e-6, det)
-    x = (reach * np.sin(following) - reach_2 * np.sin(turns)) / det
-    y = (reach_2 * np.cos(turns) - reach * np.cos(following)) / det
-    return np.stack([q[0] + x, q[1] + y], axis=1)
+    x = (reach * sin_2 - reach_2 * sin) / det
+    y = (reach_2 * cos - reach * cos_2) / det
+    return q[:, None, :2] + np.stack([x, y], axis=2)
 
 
 def side_distance(batch: Batch, dx: Floats, dy: Floats, chord: Floats) -> tuple[Floats, Floats]:
-    """Signed distance (K, CHUNKS, D) from each sample's own side, and its derivatives (K, 8, CHUNKS, D)."""
+    """Signed distance (K, CHUNKS, D) from each sample's own side, and its derivatives (K, CHUNKS, 8).
+
+    The samples of a chunk lie along its normal, so that they share their derivatives.
+    """
     normal, reach = batch.geometry()
-    n_x = np.broadcast_to(normal[..., 0, None], dx.shape).copy()
-    n_y = np.broadcast_to(normal[..., 1, None], dx.shape).copy()
-    distance = dx * n_x + dy * n_y - reach[..., None]
+    n_x, n_y = normal[..., 0], normal[..., 1]
+    distance = dx * n_x[..., None] + dy * n_y[..., None] - reach[..., None]
     if batch.round_.any():
         r = batch.round_
-        radius = np.maximum(np.hypot(dx[r], dy[r]), 1e-9)
-        n_x[r], n_y[r] = dx[r] / radius, dy[r] / radius
         # The mean distance of a chord's points is longer than its middle's.
-        distance[r] = np.sqrt(radius**2 + chord[r][..., None] ** 2 / 12.0) - reach[r][..., None]
-    jacobian = np.zeros((len(dx), PARAMETERS, *dx.shape[1:]))
-    moves = batch.moves[:, None, None]
-    jacobian[:, 0], jacobian[:, 1] = -n_x * moves, -n_y * moves
-    turning = np.where(batch.round_[:, None, None], 0.0, dy * n_x - dx * n_y)
+        distance[r] = np.sqrt(dx[r] ** 2 + dy[r] ** 2 + chord[r][..., None] ** 2 / 12.0) - reach[r][..., None]
+    jacobian = np.empty((*n_x.shape, PARAMETERS))
+    moves = batch.moves[:, None]
+    jacobian[..., 0], jacobian[..., 1] = -n_x * moves, -n_y * moves
+    turning = np.where(batch.round_[:, None], 0.0, dy.mean(axis=2) * n_x - dx.mean(axis=2) * n_y)
     for i in range(3):
-        jacobian[:, 2 + i] = np.where(batch.size_of == i, -1.0, 0.0)[..., None]
-        jacobian[:, 5 + i] = (batch.turn_of == i)[..., None] * turning
+        jacobian[..., 2 + i] = np.where(batch.size_of == i, -1.0, 0.0)
+        jacobian[..., 5 + i] = np.where(batch.turn_of == i, turning, 0.0)
     return distance, jacobian
 
 
 def clear_of_corners(batch: Batch, local: Floats) -> NDArray[np.bool_]:
     """Samples whose distance to every other side is larger than the blur reaches."""
     clear = np.ones(local.shape[:3], bool)
-    for i, family in enumerate(batch.families):
+    for family, rows, q in batch.by_family():
         if family is CIRCLE:
             continue
-        q = unpad(family, batch.q[i])
-        turns = q[2 + family.sizes :][family.turn_of] + family.normals
-        planes = (local[i] - q[:2]) @ np.stack([np.cos(turns), np.sin(turns)]) - q[2 + family.size_of]
-        side = _SIDE[len(family.normals)]
-        planes[np.arange(CHUNKS)[:, None], np.arange(local.shape[2])[None], side[:, None]] = -np.inf
-        clear[i] = planes.max(axis=2) < -_CORNER * 0.8 * batch.blur[i]
+        turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
+        cos, sin = np.cos(turns), np.sin(turns)
+        limit = q[:, 2 + family.size_of] - _CORNER * 0.8 * batch.blur[rows, None]
+        limit += q[:, :1] * cos + q[:, 1:2] * sin
+        x, y = local[rows, :, :, 0], local[rows, :, :, 1]
+        inside = np.ones(x.shape, bool)
+        for i in range(len(family.normals)):
+            c, s, most = (values[:, i, None, None] for values in (cos, sin, limit))
+            other = _SIDE[len(family.normals)] != i
+            inside &= (x * c + y * s < most) | ~other[:, None]
+        clear[rows] = inside
     return clear

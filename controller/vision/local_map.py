@@ -64,6 +64,22 @@ class LocalMaps:
             return np.asarray(shifted)
         return np.asarray(_basis(shifted / self.reach[:, None, None]) @ self.coefficients)
 
+    def many_to_local(self, index: NDArray[np.intp], pixels: Floats) -> Floats:
+        """Local coordinates (K, ..., 2) of pixels near each of the objects `index` (K,)."""
+        place = (len(index), *(1,) * (pixels.ndim - 1))
+        shifted = pixels - self.centers[index].reshape(*place[:-1], 2)
+        if self.plane is None:
+            return np.asarray(shifted)
+        basis = _basis(shifted / self.reach[index].reshape(place)).reshape(len(index), -1, len(_EXPONENTS))
+        return np.asarray(basis @ self.coefficients[index]).reshape(pixels.shape)
+
+    def all_to_pixels(self, index: NDArray[np.intp], local: Floats) -> Floats:
+        """Pixels (K, N, 2) of local coordinates of each of the objects `index` (K,), exact."""
+        if self.plane is None:
+            return np.asarray(local + self.centers[index][:, None])
+        on_plane = local * self.scale[index][:, None, None] + self.origin[index][:, None]
+        return self.plane.to_pixels(on_plane.reshape(-1, 2)).reshape(local.shape)
+
     def to_pixels(self, k: int, local: Floats) -> Floats:
         """Pixels (N, 2) of local coordinates of object k, exact."""
         if self.plane is None:

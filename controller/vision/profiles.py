@@ -57,16 +57,22 @@ def sample(
     first = np.concatenate([[0], np.cumsum(lines)[:-1]])
     chunk = np.repeat(np.arange(len(lines)), lines)
     part = (np.arange(len(chunk)) - first[chunk] + 0.5) / lines[chunk]
-    base = starts.reshape(-1, 2)[chunk] + along[chunk] * part[:, None]
-    offset = np.repeat(reach, chunks)[:, None] * np.linspace(-1.0, 1.0, columns)
+    # On the grid, positions and their sums over a chunk are exact in single precision.
+    base = ((starts.reshape(-1, 2)[chunk] + along[chunk] * part[:, None]) * _GRID).astype(np.float32)
+    offset = np.repeat(reach * _GRID, chunks)[:, None] * np.linspace(-1.0, 1.0, columns)
     normal = normals.reshape(-1, 2)
-    x = np.rint((base[:, :1] + (normal[:, :1] * offset)[chunk]) * _GRID) / _GRID
-    y = np.rint((base[:, 1:] + (normal[:, 1:] * offset)[chunk]) * _GRID) / _GRID
-    raw = _remap(image, x, y)
     scale = 1.0 / lines[:, None]
-    values = np.add.reduceat(raw, first, axis=0) * scale[:, :, None]
-    mean_x = np.add.reduceat(x, first, axis=0) * scale
-    mean_y = np.add.reduceat(y, first, axis=0) * scale
+    steps, means = [], []
+    for i in range(2):
+        position = (normal[:, i, None] * offset).astype(np.float32)[chunk]
+        position += base[:, i, None]
+        np.rint(position, out=position)
+        position *= np.float32(1.0 / _GRID)
+        steps.append(position)
+        means.append(np.add.reduceat(position, first, axis=0) * scale)
+    raw = _remap(image, *steps).reshape(len(chunk), -1)
+    values = np.add.reduceat(raw, first, axis=0) * scale
+    mean_x, mean_y = means
     height, width = image.shape[:2]
     inside = (mean_x >= 0.5) & (mean_x <= width - 1.5) & (mean_y >= 0.5) & (mean_y <= height - 1.5)
     shape = (count, chunks, columns)
@@ -78,18 +84,10 @@ def sample(
     )
 
 
-def _remap(image: NDArray[np.uint8], x: Floats, y: Floats) -> NDArray[np.float32]:
+def _remap(image: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Bilinear samples, shape (N, D, 3), in blocks short enough for OpenCV's 16-bit row index."""
     blocks = []
     for start in range(0, len(x), 30_000):
         block = slice(start, start + 30_000)
-        blocks.append(
-            cv2.remap(
-                image,
-                x[block].astype(np.float32),
-                y[block].astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
-        )
+        blocks.append(cv2.remap(image, x[block], y[block], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
     return np.concatenate(blocks).astype(np.float32)

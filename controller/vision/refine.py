@@ -132,7 +132,7 @@ def _moved(family: Family, item: Refined) -> Floats:
     points = chunk_middles(family, item.q)
     dx, dy = (points[None, :, i, None] - batch.q[0, i] for i in (0, 1))
     _, jacobian = side_distance(batch, dx, dy, np.zeros((1, CHUNKS)))
-    rows = jacobian[0, :, :, 0].T
+    rows = jacobian[0]
     use = ~item.blank & (np.abs(item.strays) < 6.0)
     if use.sum() < CHUNKS // 2:
         return item.q
@@ -192,7 +192,7 @@ def _rounds(
     starts, ends, normals = chunk_ends(batch, maps)
     columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
     profiles = sample(image, starts, ends, normals, reach, columns)
-    local = _local(profiles, maps, batch.index)
+    local = maps.many_to_local(batch.index, profiles.pixels)
     chord = np.linalg.norm(ends - starts, axis=2)
     # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
     spacing = np.minimum(2.0 * reach / (columns - 1), 1.0)
@@ -210,9 +210,9 @@ def _rounds(
         unlit = ndtr(z)
         bell = np.exp(-0.5 * z * z) / (math.sqrt(2.0 * math.pi) * blur)
         scaled = np.sqrt(weight) * root
-        dark = unlit * scaled
-        energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
-        around = np.einsum("kcd,kcd->kc", dark, value * scaled) / energy
+        dark, seen = unlit * scaled, value * scaled
+        energy = np.maximum(_dot(dark, dark), 1e-9)
+        around = _dot(dark, seen) / energy
         rest = (value - around[..., None] * unlit) * root * free
         state = _State(rest, free, weight, bell, unlit, lines, around, inner, value, 2.0 * reach / (columns - 1))
         if step == rounds:
@@ -223,31 +223,44 @@ def _rounds(
             weight = free * (1.0 - ratio**2) ** 2 * _agreement(state, batch.group)[..., None]
             scaled = np.sqrt(weight) * root
             dark = unlit * scaled
-            energy = np.maximum(np.einsum("kcd,kcd->kc", dark, dark), 1e-9)
+            energy = np.maximum(_dot(dark, dark), 1e-9)
         slope = around[..., None] * bell * scaled
-        rows = np.concatenate([slope[:, None] * jacobian, (-slope * z)[:, None]], axis=1)
+        wider = -slope * z
         target = (value - around[..., None] * unlit) * scaled
         # B of every chunk is eliminated: only what is perpendicular to it can move the outline.
-        rows -= (np.einsum("kcd,kpcd->kpc", dark, rows) / energy[:, None])[..., None] * dark[:, None]
-        target -= (np.einsum("kcd,kcd->kc", dark, target) / energy)[..., None] * dark
-        flat = rows.reshape(len(rows), PARAMETERS + 1, -1)
-        normal = flat @ flat.transpose(0, 2, 1)
+        along, across, off = _dot(dark, slope), _dot(dark, wider), _dot(dark, target)
+        moves = _dot(slope, slope) - along * along / energy
+        mixed = _dot(slope, wider) - along * across / energy
+        blurs = _dot(wider, wider) - across * across / energy
+        normal = np.empty((len(rest), PARAMETERS + 1, PARAMETERS + 1))
+        turned = jacobian.transpose(0, 2, 1)
+        normal[:, :-1, :-1] = turned @ (jacobian * moves[..., None])
+        normal[:, :-1, -1] = normal[:, -1, :-1] = (turned @ mixed[..., None])[..., 0]
+        normal[:, -1, -1] = blurs.sum(axis=1)
+        asked = np.empty((len(rest), PARAMETERS + 1, 1))
+        asked[:, :-1] = turned @ (_dot(slope, target) - along * off / energy)[..., None]
+        asked[:, -1, 0] = (_dot(wider, target) - across * off / energy).sum(axis=1)
         trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
         normal += np.eye(PARAMETERS + 1) * (1e-9 * trace + 1e-9)
-        change = np.linalg.solve(normal, flat @ target.reshape(len(rows), -1, 1))[..., 0]
-        change = np.nan_to_num(change)
+        change = np.nan_to_num(np.linalg.solve(normal, asked)[..., 0])
         batch.q += np.clip(change[:, :PARAMETERS], -1.5, 1.5)
         swing = np.clip(change[:, PARAMETERS], -0.4 * batch.blur, 0.6 * batch.blur)
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
     raise AssertionError("the last round returns")
 
 
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Scalar products (K, CHUNKS) of profiles."""
+    return np.asarray(np.vecdot(a, b))
+
+
 def _strays(state: _State) -> tuple[Floats, Floats]:
     """How far the edge of each chunk lies outside the outline (K, CHUNKS), px, and that figure's information."""
     w = state.weight * state.lines[..., None]
     slope = state.around[..., None] * state.bell
-    information = np.einsum("kcd,kcd,kcd->kc", w, slope, slope)
-    deviation = np.einsum("kcd,kcd,kcd->kc", w, slope, state.rest / np.sqrt(state.lines)[..., None])
+    weighted = w * slope
+    information = _dot(weighted, slope)
+    deviation = _dot(weighted, state.rest / np.sqrt(state.lines)[..., None])
     return deviation / np.maximum(information, 1e-9), information
 
 
@@ -271,13 +284,6 @@ def _agreement(state: _State, group: NDArray[np.intp]) -> Floats:
     weight = (1.0 - np.minimum(apart / limit, 1.0) ** 2) ** 2
     # Not quite nothing: the surroundings of a chunk are still to be estimated.
     return np.asarray(np.maximum(weight, 1e-4))
-
-
-def _local(profiles: Profiles, maps: LocalMaps, index: NDArray[np.intp]) -> Floats:
-    """The samples in local coordinates, (K, CHUNKS, D, 2)."""
-    if maps.plane is None:
-        return np.asarray(profiles.pixels - maps.centers[index][:, None, None])
-    return np.stack([maps.to_local(int(k), profiles.pixels[i]) for i, k in enumerate(index)])
 
 
 def _contrasts(

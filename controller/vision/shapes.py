@@ -20,7 +20,7 @@ from controller.domain import Shape
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """One family of outlines.
 
