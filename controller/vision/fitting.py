@@ -26,6 +26,11 @@ from controller.vision.shapes import (
 
 Floats = NDArray[np.float64]
 
+_ROUGH = (0, 1, 2)
+"""Steps after which the families that do not suit a region are plain."""
+_FINE = (3, 4, 5)
+"""Steps that bring the others to the end."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
@@ -49,33 +54,57 @@ class Hypothesis:
 
 
 def fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> list[list[Hypothesis]]:
-    """For every region, its fits to all families, best first."""
+    """For every region, its fits to the two families that suit it best, best first.
+
+    All families are fitted roughly, on every other ray; the best two are fitted to the end.
+    """
     starts: dict[Shape, list[Floats]] = {shape: [] for shape in FAMILIES}
     for hull in hulls:
         for shape, start in _starts(hull).items():
             starts[shape].append(start)
     relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
-    relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0)
-    out: list[list[Hypothesis]] = [[] for _ in hulls]
-    for family in FAMILIES.values():
+    relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0).astype(np.float32)
+    points = edges.astype(np.float32)
+    few, light = np.ascontiguousarray(points[:, ::2]), np.ascontiguousarray(relative[:, ::2])
+    rough: list[Floats] = []
+    costs = np.empty((len(FAMILIES), len(hulls)))
+    for i, family in enumerate(FAMILIES.values()):
         q = np.array(starts[family.shape])
-        size = np.sqrt(np.maximum(area(family, q), 1.0))
-        scale = np.maximum(0.5 * factor, 0.008 * size)
-        q = fit_edges(family, q, edges, relative, scale)
-        distance, strength = edge_residuals(family, q, edges, relative)
-        size = np.sqrt(np.maximum(area(family, q), 1.0))
-        tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
-        near = np.abs(distance) < tolerance
-        valid = strength > 0.15
-        inliers = np.mean(near & valid, axis=1)
-        clipped = np.where(valid, np.minimum(np.abs(distance), tolerance), tolerance)
-        cost = np.sqrt(np.mean(clipped**2, axis=1)) / tolerance[:, 0]
-        for i in range(len(hulls)):
-            if np.isfinite(q[i]).all():
-                out[i].append(Hypothesis(i, family, q[i], float(cost[i]), float(inliers[i]), float(size[i])))
+        q = fit_edges(family, q, few, light, _scale(family, q, factor), _ROUGH)
+        rough.append(q)
+        costs[i] = _quality(family, q, few, light, factor)[0]
+    rank = np.nan_to_num(costs, nan=np.inf).argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
+    out: list[list[Hypothesis]] = [[] for _ in hulls]
+    for family, q, place in zip(FAMILIES.values(), rough, rank, strict=True):
+        rows = np.flatnonzero((place < 2) & np.isfinite(q).all(axis=1))
+        q, near, strong = q[rows], points[rows], relative[rows]
+        q = fit_edges(family, q, near, strong, _scale(family, q, factor), _FINE)
+        cost, inliers, size = _quality(family, q, near, strong, factor)
+        for k, i in enumerate(rows):
+            if np.isfinite(q[k]).all():
+                out[i].append(Hypothesis(int(i), family, q[k], float(cost[k]), float(inliers[k]), float(size[k])))
     for hypotheses in out:
         hypotheses.sort(key=lambda h: h.cost)
     return out
+
+
+def _scale(family: Family, q: Floats, factor: int) -> Floats:
+    """How near to the outline (K,) edges must finally be to count."""
+    return np.maximum(0.5 * factor, 0.008 * np.sqrt(np.maximum(area(family, q), 1.0)))
+
+
+def _quality(
+    family: Family, q: Floats, edges: NDArray[np.float32], weight: NDArray[np.float32], factor: int
+) -> tuple[Floats, Floats, Floats]:
+    """Cost, share of inliers and size (K,) of fitted outlines, see `Hypothesis`."""
+    distance, strength = edge_residuals(family, q, edges, weight)
+    size = np.sqrt(np.maximum(area(family, q), 1.0))
+    tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
+    off = np.abs(distance)
+    valid = strength > 0.15
+    inliers = np.mean((off < tolerance) & valid, axis=1)
+    clipped = np.where(valid, np.minimum(off, tolerance), tolerance)
+    return np.sqrt(np.mean(clipped**2, axis=1)) / tolerance[:, 0], inliers, size
 
 
 def _starts(hull: Floats) -> dict[Shape, Floats]:

@@ -8,16 +8,16 @@ negative inside. Coordinates are any right-angled plane: pixels (y down) or the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Shape
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,44 +65,13 @@ OCTAGON = _polygon(Shape.OTHER, 8, [0] * 8, [0] * 8)
 FAMILIES: Mapping[Shape, Family] = {family.shape: family for family in (CIRCLE, HEXAGON, RECTANGLE, TRIANGLE)}
 
 
-def signed_distance(family: Family, q: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Signed distance of points from outlines, with its derivatives.
-
-    Args:
-        family: The family.
-        q: ndarray of shape (K, P), parameters of K objects.
-        points: ndarray of shape (K, M, 2), M points for each.
-
-    Returns:
-        distance (K, M); jacobian (K, M, P).
-    """
-    dx = points[..., 0] - q[:, None, 0]
-    dy = points[..., 1] - q[:, None, 1]
-    jacobian = np.zeros((*dx.shape, family.parameters))
-    if not len(family.normals):
-        radius = np.hypot(dx, dy)
-        safe = np.maximum(radius, 1e-9)
-        jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = -dx / safe, -dy / safe, -1.0
-        return radius - q[:, None, 2], jacobian
-    turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
-    cos, sin = np.cos(turns), np.sin(turns)
-    planes = dx[..., None] * cos[:, None] + dy[..., None] * sin[:, None] - q[:, None, 2 + family.size_of]
-    side = planes.argmax(axis=2)
-    rows = np.arange(len(q))[:, None]
-    n_x, n_y = cos[rows, side], sin[rows, side]
-    if family.moves:
-        jacobian[..., 0], jacobian[..., 1] = -n_x, -n_y
-    k, m = np.indices(side.shape, sparse=True)
-    jacobian[k, m, 2 + family.size_of[side]] = -1.0
-    jacobian[k, m, 2 + family.sizes + family.turn_of[side]] = dy * n_x - dx * n_y
-    return np.take_along_axis(planes, side[..., None], axis=2)[..., 0], jacobian
-
-
-def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: Floats, rounds: int = 6) -> Floats:
+def fit_edges(
+    family: Family, q: Floats, edges: Floats32, weight: Floats32, scale: Floats, steps: Sequence[int]
+) -> Floats:
     """Parameters (K, P) after a robust fit to edge points.
 
     Every ray offers several edges; the one nearest to the present outline counts, weighed by Tukey's function
-    whose width shrinks from a tenth of the object to a few pixels.
+    whose width halves with every step, from a fifth of the object to `scale`.
 
     Args:
         family: The family.
@@ -110,21 +79,22 @@ def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: F
         edges: ndarray of shape (K, M, C, 2): C candidate edges on each of M rays.
         weight: ndarray of shape (K, M, C), 0 where there is no edge.
         scale: Final width of the weight function for each object, shape (K,).
-        rounds: Gauss-Newton steps.
+        steps: Numbers of the Gauss-Newton steps to take, counted from 0.
     """
     q = q.copy()
     size = np.sqrt(np.maximum(area(family, q), 1.0))
+    limit = 0.3 * size[:, None]
     eye = np.eye(family.parameters)
-    for step in range(rounds):
-        strength, distance, jacobian = _nearest(family, q, edges, weight)
-        width = np.maximum(scale, 0.2 * size * 0.5**step)
-        ratio = np.clip(distance / (3.0 * width[:, None]), -1.0, 1.0)
-        w = strength * (1.0 - ratio**2) ** 2
-        weighted = jacobian * w[..., None]
-        normal = np.einsum("kmp,kmq->kpq", weighted, jacobian, optimize=True)
+    for step in steps:
+        distance, strength, nearest = _nearest(family, q, edges, weight)
+        jacobian = _jacobian(family, q, nearest)
+        width = 3.0 * np.maximum(scale, 0.2 * size * 0.5**step)
+        ratio = np.minimum(np.abs(distance) / width[:, None].astype(np.float32), 1.0)
+        w = strength * (1.0 - ratio * ratio) ** 2
+        weighted = (jacobian * w[:, None]).astype(np.float64)
+        normal = weighted @ jacobian.transpose(0, 2, 1)
         normal += eye * (1e-9 + 1e-5 * np.trace(normal, axis1=1, axis2=2)[:, None, None])
-        step_q = np.linalg.solve(normal, np.einsum("kmp,km->kp", weighted, distance)[..., None])[..., 0]
-        limit = 0.3 * size[:, None]
+        step_q = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
         step_q[:, : 2 + family.sizes] = np.clip(step_q[:, : 2 + family.sizes], -limit, limit)
         step_q[:, 2 + family.sizes :] = np.clip(step_q[:, 2 + family.sizes :], -0.3, 0.3)
         q -= step_q
@@ -132,21 +102,61 @@ def fit_edges(family: Family, q: Floats, edges: Floats, weight: Floats, scale: F
     return q
 
 
-def edge_residuals(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats]:
+def edge_residuals(family: Family, q: Floats, edges: Floats32, weight: Floats32) -> tuple[Floats32, Floats32]:
     """Signed distance (K, M) of each ray's nearest edge from the outline, and that edge's weight (K, M)."""
-    strength, distance, _ = _nearest(family, q, edges, weight)
+    distance, strength, _ = _nearest(family, q, edges, weight)
     return distance, strength
 
 
-def _nearest(family: Family, q: Floats, edges: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
-    count, rays, choices = weight.shape
-    distance, jacobian = signed_distance(family, q, edges.reshape(count, rays * choices, 2))
-    distance = distance.reshape(count, rays, choices)
-    cost = np.where(weight > 0.0, np.abs(distance), np.inf)
-    best = cost.argmin(axis=2)
-    k, m = np.indices(best.shape, sparse=True)
-    jacobian = jacobian.reshape(count, rays, choices, -1)[k, m, best]
-    return weight[k, m, best], distance[k, m, best], jacobian
+def _nearest(
+    family: Family, q: Floats, edges: Floats32, weight: Floats32
+) -> tuple[Floats32, Floats32, tuple[Floats32, Floats32]]:
+    """Of the edges of each ray the nearest to the outline: distance and weight (K, M), place from the centre (K, M)."""
+    middle = q[:, None, None, :2].astype(np.float32)
+    dx, dy = edges[..., 0] - middle[..., 0], edges[..., 1] - middle[..., 1]
+    distance = _signed_distance(family, q, dx, dy)
+    best = np.where(weight > 0.0, np.abs(distance), np.inf).argmin(axis=2)[..., None]
+    chosen = [np.take_along_axis(values, best, axis=2)[..., 0] for values in (distance, weight, dx, dy)]
+    return chosen[0], chosen[1], (chosen[2], chosen[3])
+
+
+def _sides(family: Family, q: Floats) -> tuple[Floats32, Floats32, Floats32]:
+    """Normals' cosines and sines, and distances from the centre, of every side, (K, S)."""
+    turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
+    reach = q[:, 2 + family.size_of]
+    return np.cos(turns).astype(np.float32), np.sin(turns).astype(np.float32), reach.astype(np.float32)
+
+
+def _signed_distance(family: Family, q: Floats, dx: Floats32, dy: Floats32) -> Floats32:
+    """Signed distances (K, M, C) of points given from the outlines' centres."""
+    if not len(family.normals):
+        return np.asarray(np.sqrt(dx * dx + dy * dy) - q[:, None, None, 2].astype(np.float32))
+    cos, sin, reach = (values[:, :, None, None] for values in _sides(family, q))
+    out = dx * cos[:, 0] + dy * sin[:, 0] - reach[:, 0]
+    for i in range(1, len(family.normals)):
+        np.maximum(out, dx * cos[:, i] + dy * sin[:, i] - reach[:, i], out=out)
+    return np.asarray(out)
+
+
+def _jacobian(family: Family, q: Floats, points: tuple[Floats32, Floats32]) -> Floats32:
+    """Derivatives (K, P, M) of the signed distances of points given from the outlines' centres."""
+    dx, dy = points
+    out = np.zeros((len(dx), family.parameters, dx.shape[1]), np.float32)
+    if not len(family.normals):
+        radius = np.maximum(np.hypot(dx, dy), 1e-9)
+        out[:, 0], out[:, 1], out[:, 2] = -dx / radius, -dy / radius, -1.0
+        return out
+    cos, sin, reach = _sides(family, q)
+    side = (dx[..., None] * cos[:, None] + dy[..., None] * sin[:, None] - reach[:, None]).argmax(axis=2)
+    n_x, n_y = np.take_along_axis(cos, side, axis=1), np.take_along_axis(sin, side, axis=1)
+    if family.moves:
+        out[:, 0], out[:, 1] = -n_x, -n_y
+    size_of, turn_of, turning = family.size_of[side], family.turn_of[side], dy * n_x - dx * n_y
+    for i in range(family.sizes):
+        out[:, 2 + i] = np.where(size_of == i, -1.0, 0.0)
+    for i in range(family.turns):
+        out[:, 2 + family.sizes + i] = np.where(turn_of == i, turning, 0.0)
+    return out
 
 
 def area(family: Family, q: Floats) -> Floats:
@@ -159,7 +169,12 @@ def area(family: Family, q: Floats) -> Floats:
         return np.asarray(8.0 * math.tan(math.pi / 8.0) * q[:, 2] ** 2)
     if family is RECTANGLE:
         return np.asarray(4.0 * q[:, 2] * q[:, 3])
-    return np.array([abs(cv2.contourArea(vertices(family, one).astype(np.float32))) for one in q])
+    # Three lines at distances h from a point, with angles g between their normals: (h . sin g)^2 / (2 product sin g).
+    turns = q[:, 5:] + TRIANGLE.normals
+    opposite = np.sin(np.stack([turns[:, j] - turns[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1))
+    product = 2.0 * np.prod(opposite, axis=1)
+    product = np.where(np.abs(product) < 1e-9, 1e-9, product)
+    return np.asarray(np.abs(np.sum(q[:, 2:5] * opposite, axis=1) ** 2 / product))
 
 
 def vertices(family: Family, q: Floats, circle_points: int = 72) -> Floats:
