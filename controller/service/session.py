@@ -22,6 +22,7 @@ import cv2
 
 from controller import __version__
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera, rehearsed
+from controller.calibration.identified import load_identified
 from controller.calibration.store import load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
@@ -141,7 +142,7 @@ class Session:
                 ledger if devices.script is None else LedgerWithFailpoints(ledger, devices.script),
                 calibration,
                 recipe,
-                self._planner(arm, calibration),
+                self._planner(self._as_identified(arm), calibration),
                 observers=(*devices.observers, statistics, faults, album, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
                 classes=taught,
@@ -237,6 +238,13 @@ class Session:
         if self.options.rehearsal is Rehearsal.AIR:
             return AirPlanner(arm, calibration, self._config.bin_values(), speed=min(speed, AIR_SPEED))
         return Planner(arm, calibration, self._config.bin_values(), speed=speed)
+
+    def _as_identified(self, arm: ArmDescription) -> ArmDescription:
+        """The arm with the figures that belong to the calibration, where it was identified."""
+        folder = self.options.calibration
+        if folder is None and self.options.mode is Mode.REAL:
+            folder = state_folder() / "calibration"
+        return load_identified(folder, arm) if folder is not None else arm
 
     def _by_ruler(self) -> CellCalibration:
         camera, T_table_camera = nominal_camera(self._config)
