@@ -216,12 +216,14 @@ class ServoDynamics:
         damping: Back-EMF, Nm s/rad.
         friction: Coulomb friction, Nm.
         inertia: Rotor inertia at the output, kg m^2.
+        friction_share: How much of the friction is made up for; less while it is only assumed.
     """
 
     stiffness: float = 18.9
     damping: float = 0.85
     friction: float = 0.08
     inertia: float = 0.028
+    friction_share: float = 0.6
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,7 @@ import numpy as np
 from controller.domain import ArmDescription, Array
 
 GRAVITY = 9.80665  # m/s^2
-# A share below one keeps an over-estimated friction from driving a limit cycle about the goal; the tanh spreads
-# the change of sign over +-0.05 rad/s, two encoder ticks in one 100 Hz period.
-FRICTION_SHARE = 0.6
+# The tanh spreads the change of friction's sign over +-0.05 rad/s, two encoder ticks in one 100 Hz period.
 FRICTION_SPEED = 0.05  # rad/s
 # The servo takes a goal once a period and holds it; half a period and the loop's own millisecond make it late.
 LOOP_DELAY = 0.001  # s
@@ -73,7 +71,7 @@ def _build(arm: ArmDescription) -> _Model:
         column=first.mass * (first.center[0] ** 2 + first.center[1] ** 2) * _M**2,
         stiffness=np.array([s.stiffness for s in servo]),
         damping=np.array([s.damping for s in servo]),
-        friction=np.array([s.friction for s in servo]),
+        friction=np.array([s.friction_share * s.friction for s in servo]),
         inertia=np.array([s.inertia for s in servo]),
     )
 
@@ -134,7 +132,7 @@ def offset(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array 
         payload: Mass at the grasp point, kg; scalar or ndarray of shape (N,).
     """
     m = _model(arm)
-    friction = FRICTION_SHARE * m.friction * np.tanh(qd / FRICTION_SPEED)
+    friction = m.friction * np.tanh(qd / FRICTION_SPEED)
     total = torque(arm, q, qd, qdd, payload) + m.inertia * qdd + m.damping * qd + friction
     return np.asarray(total / m.stiffness)
 

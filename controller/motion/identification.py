@@ -33,6 +33,8 @@ _NOISE = _TICK / 2.0  # rad: rounding of a position, and what the smoothing leav
 # How far an arm may be from its description: a fifth in masses and gains, twice in what nobody publishes.
 _PRIOR_LOAD, _PRIOR_OTHER = 0.2, 1.0
 _PITCHES = (TOP_DOWN, 1.3, 1.0)  # rad below the horizon
+# Friction that was measured may be made up for nearly whole: what is left decides where a joint stops.
+_FRICTION_SHARE = 0.9
 _FEWEST = 300  # samples of a joint in motion
 _LARGEST_CHANGE = 1.0  # a share: beyond it the description belongs to another arm
 _WORST_RESIDUAL = 0.02  # rad
@@ -110,12 +112,12 @@ def identify(arm: ArmDescription, moves: Sequence[Sequence[ServoCycle]]) -> Iden
         raise CalibrationPoorFit("a joint hardly moved", "let the arm make all its moves")
     nominal = [joint.dynamics for joint in arm.joints]
     stiffness = np.array([servo.stiffness for servo in nominal])
-    slide = dynamics.FRICTION_SHARE * np.tanh(qd / dynamics.FRICTION_SPEED)
+    slide = np.tanh(qd / dynamics.FRICTION_SPEED)
     own = np.stack(
         [
             qdd * [servo.inertia for servo in nominal],
             qd * [servo.damping for servo in nominal],
-            slide * [servo.friction for servo in nominal] / dynamics.FRICTION_SHARE,
+            slide * [servo.friction for servo in nominal],
         ],
         axis=2,
     )
@@ -156,6 +158,7 @@ def identify(arm: ArmDescription, moves: Sequence[Sequence[ServoCycle]]) -> Iden
             damping=float(servo.damping * own_[2] / own_[0]),
             friction=float(servo.friction * own_[3] / own_[0]),
             inertia=float(servo.inertia * own_[1] / own_[0]),
+            friction_share=_FRICTION_SHARE,
         )
         for servo, own_ in zip(nominal, rest, strict=True)
     )

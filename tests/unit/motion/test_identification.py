@@ -37,6 +37,7 @@ def another(arm: ArmDescription, seed: int) -> ArmDescription:
                 joint.dynamics.damping * rng.uniform(0.9, 1.1),
                 joint.dynamics.friction * rng.uniform(0.7, 1.3),
                 joint.dynamics.inertia * rng.uniform(0.6, 1.6),
+                friction_share=1.0,
             ),
         )
         for joint in arm.joints
@@ -65,9 +66,7 @@ def logged(true: ArmDescription, ways: Sequence[Array], *, rounded: bool = True)
         spline = CubicSpline(times, way, bc_type="clamped")
         at = times + dynamics.lead(PERIOD)
         q, qd, qdd = (np.asarray(spline(at, k)) for k in range(3))
-        friction = np.array([joint.dynamics.friction / joint.dynamics.stiffness for joint in true.joints])
-        more = (1.0 - dynamics.FRICTION_SHARE) * np.tanh(qd / dynamics.FRICTION_SPEED) * friction
-        goals = q + dynamics.offset(true, q, qd, qdd) + more
+        goals = q + dynamics.offset(true, q, qd, qdd)
         seen = np.asarray(spline(times + DELAY / 2.0))
         if rounded:
             goals, seen = np.rint(goals / TICK) * TICK, np.rint(seen / TICK) * TICK
@@ -107,9 +106,12 @@ def test_known_arms_are_found(seed: int) -> None:
 
 def test_the_described_arm_stays_as_it_is() -> None:
     ways = planned(RX150)
-    found = identify(RX150, logged(RX150, ways, rounded=False))
+    whole = [replace(joint, dynamics=replace(joint.dynamics, friction_share=1.0)) for joint in RX150.joints]
+    described = replace(RX150, joints=tuple(whole))
+    found = identify(RX150, logged(described, ways, rounded=False))
     model = identified(RX150, found.joints, found.link_scale)
-    assert model_error(RX150, model, ways) < 0.3
+    # A tenth of the friction is not made up for: 0.2 mm at the tool.
+    assert model_error(described, model, ways) < 0.5
 
 
 def test_missing_cycles_are_no_motion() -> None:
