@@ -25,7 +25,7 @@ from controller.config.arm import load_arm
 from controller.config.cell import load_cell
 from controller.config.files import shipped
 from controller.cycle.view import region_mask
-from controller.domain import Frame, TruePart
+from controller.domain import CellCalibration, Frame, TruePart
 from controller.geometry import angle_difference
 from controller.localization.locate import Located, locate
 from controller.motion.planner import Planner
@@ -47,6 +47,7 @@ class Seen:
         truth: Every part.
         detected: By vision.
         located: By localisation.
+        calibration: Of the cell, with which it was seen.
         time_ms: What both took, ms.
     """
 
@@ -54,6 +55,7 @@ class Seen:
     truth: Sequence[TruePart]
     detected: Detected
     located: Located
+    calibration: CellCalibration
     time_ms: float
 
 
@@ -79,7 +81,7 @@ def look_at_cell(seed: int, parts: int, level: str, folder: Path) -> Seen:
     region = region_mask(config, calibration, frame.size)
     detected = detect(frame, recipe, plane=calibration.plane(12.0), region=region)
     located = locate(detected.detections, calibration, config.part_height)
-    return Seen(frame, truth, detected, located, 1e3 * (perf_counter() - began))
+    return Seen(frame, truth, detected, located, calibration, 1e3 * (perf_counter() - began))
 
 
 def main() -> None:
