@@ -26,7 +26,7 @@ class Director(Protocol):
 
 
 class LedgerWithFailpoints:
-    """A ledger with `before_intend`, `after_intend`, `before_conclude` and `after_conclude`, on a disk that may be full.
+    """A ledger with failpoints before and after every intent and every outcome, on a disk that may be full.
 
     Args:
         ledger: The real one.
