@@ -235,7 +235,8 @@ class Sorter:
         self._holding = target
         out_of_bin = self.rig.planner.rise_time(plan.approach, self._climb) if self._climb else 0.0
         self._retreat = None
-        refusal = proof.obstruction(self._follow(plan.approach, plan.grasp.opening, out_of_bin))
+        arrival = self._follow(plan.approach, plan.grasp.opening, out_of_bin)
+        refusal = proof.obstruction(arrival, plan.approach)
         if refusal is None:
             report = self.rig.arm.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
             self._moved(report.finished)

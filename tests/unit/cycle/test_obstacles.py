@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from controller.domain import MoveReport, Result, Trajectory
@@ -35,13 +36,16 @@ def test_jaws_that_meet_something_on_the_way_down_do_not_close(
 
     def strays(arm: RecordingArm, trajectory: Trajectory, *how: float | None) -> MoveReport:
         report = follow(arm, trajectory, *how)  # type: ignore[arg-type]  # whatever the cycle asks for
-        return dataclasses.replace(report, worst_following_error=stray if trajectory.name == "approach" else 0.0)
+        if trajectory.name != "approach":
+            return report
+        elsewhere = report.state.positions - np.array([0.0, 0.0, stray, 0.0, 0.0])
+        return dataclasses.replace(report, state=dataclasses.replace(report.state, positions=elsewhere))
 
     monkeypatch.setattr(RecordingArm, "follow", strays)
     bench.run()
     assert bench.results == results
     if results == [Result.GRASP_MISSED]:
-        assert "in its way" in bench.outcomes[0].reason
+        assert "in the way" in bench.outcomes[0].reason
         narrowest = min(float(str(c["opening_mm"])) for c in bench.arm.commands if c["command"] == "grip")
         width = bench.outcomes[0].plan.grasp.width if bench.outcomes[0].plan else 0.0
         assert narrowest > width
