@@ -18,6 +18,9 @@ WIDTH_TOLERANCE_MM = 4.0
 SQUEEZE_MM = 8.0
 """Closing aims this far below the part's width: twice the tolerance, so that an empty grasp shows."""
 
+RELEASE_MM = 2.0
+"""Jaws this much wider than the seen width have let go: sizes are seen to 0.3 mm, and jaws arrive within 1 mm."""
+
 ASTRAY_RAD = 0.05
 """A joint that ends an approach further from its goal stands on something; a driver would refuse to carry from there.
 
