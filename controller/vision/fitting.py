@@ -63,26 +63,28 @@ def fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> 
         for shape, start in _starts(hull).items():
             starts[shape].append(start)
     relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
-    relative = np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0).astype(np.float32)
+    light = np.asarray(np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0), np.float32)
     points = edges.astype(np.float32)
-    few, light = np.ascontiguousarray(points[:, ::2]), np.ascontiguousarray(relative[:, ::2])
+    half = np.ascontiguousarray(points[:, ::2]), np.ascontiguousarray(light[:, ::2])
     rough: list[Floats] = []
     costs = np.empty((len(FAMILIES), len(hulls)))
     for i, family in enumerate(FAMILIES.values()):
         q = np.array(starts[family.shape])
-        q = fit_edges(family, q, few, light, _scale(family, q, factor), _ROUGH)
+        q = fit_edges(family, q, *half, _scale(family, q, factor), _ROUGH)
         rough.append(q)
-        costs[i] = _quality(family, q, few, light, factor)[0]
+        costs[i] = _quality(family, q, *half, factor)[0]
     rank = np.nan_to_num(costs, nan=np.inf).argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
     out: list[list[Hypothesis]] = [[] for _ in hulls]
-    for family, q, place in zip(FAMILIES.values(), rough, rank, strict=True):
-        rows = np.flatnonzero((place < 2) & np.isfinite(q).all(axis=1))
-        q, near, strong = q[rows], points[rows], relative[rows]
-        q = fit_edges(family, q, near, strong, _scale(family, q, factor), _FINE)
-        cost, inliers, size = _quality(family, q, near, strong, factor)
-        for k, i in enumerate(rows):
+    for family, start, place in zip(FAMILIES.values(), rough, rank, strict=True):
+        rows = np.flatnonzero((place < 2) & np.isfinite(start).all(axis=1))
+        near = points[rows], light[rows]
+        q = fit_edges(family, start[rows], *near, _scale(family, start[rows], factor), _FINE)
+        cost, inliers, size = _quality(family, q, *near, factor)
+        for k, region in enumerate(rows.tolist()):
             if np.isfinite(q[k]).all():
-                out[i].append(Hypothesis(int(i), family, q[k], float(cost[k]), float(inliers[k]), float(size[k])))
+                out[region].append(
+                    Hypothesis(region, family, q[k], float(cost[k]), float(inliers[k]), float(size[k]))
+                )
     for hypotheses in out:
         hypotheses.sort(key=lambda h: h.cost)
     return out

@@ -73,13 +73,14 @@ class Scene:
         """Whether side faces may show: shapes are decided on a plane above the table."""
         return self.plane is not None and self.plane.height > 0.0
 
-    def strengths(self, outline: Floats, share: float) -> Floats:
-        """Whitened difference from the table (N, 3) at points of the outline shrunk to `share` about its middle."""
+    def strengths(self, outline: Floats, *shares: float) -> Floats:
+        """Whitened difference from the table (N, 3) at an outline's points shrunk to each share about its middle."""
         middle = outline.mean(axis=0)
-        points = ((middle + share * (outline - middle)) - (self.factor - 1) / 2.0) / self.factor
+        shrunk = np.multiply.outer(np.array(shares), outline - middle).reshape(-1, 2) + middle
+        places = np.rint((shrunk - (self.factor - 1) / 2.0) / self.factor).astype(np.intp)
         rows, columns = self.white.difference.shape[:2]
-        x = np.clip(np.rint(points[:, 0]).astype(np.intp), 0, columns - 1)
-        y = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, rows - 1)
+        x = np.minimum(np.maximum(places[:, 0], 0), columns - 1)
+        y = np.minimum(np.maximum(places[:, 1], 0), rows - 1)
         return np.asarray(self.white.difference[y, x], np.float64)
 
 
@@ -108,6 +109,13 @@ def sampled(outline: Floats, count: int = 32) -> Floats:
     at = (np.arange(count) + 0.5) / count * ends[-1]
     which = np.searchsorted(ends, at).clip(0, len(outline) - 1)
     return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
+
+
+def neighbours(items: Sequence[Judged]) -> NDArray[np.bool_]:
+    """Whose boxes meet, shape (K, K)."""
+    box = np.array([item.box for item in items]).reshape(-1, 4)
+    low, high = box[:, :2], box[:, 2:]
+    return np.asarray((low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2))
 
 
 def shared(a: Judged, b: Judged) -> float:

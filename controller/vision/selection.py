@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from controller.vision.chunks import chunk_middles
 from controller.vision.refine import refine
-from controller.vision.scene import Judged, Scene, sampled, shared
+from controller.vision.scene import Judged, Scene, neighbours, sampled, shared
 from controller.vision.shapes import CIRCLE, OCTAGON
-from controller.vision.silhouette import reach
+from controller.vision.silhouette import reaches
 
 Floats = NDArray[np.float64]
 
@@ -36,25 +36,31 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         softest = 1.7 * float(np.median(blurs)) + 0.4
         good = [item for item in good if item.refined.blur <= softest]
 
-    good = [item for item in good if not any(_rival(item, other) for other in good)]
+    meets = neighbours(good)
+    stays = [
+        not any(_rival(item, good[j]) for j in np.flatnonzero(meet)) for item, meet in zip(good, meets, strict=True)
+    ]
+    good = [item for item, stay in zip(good, stays, strict=True) if stay]
+    meets = meets[stays][:, stays]
 
     def rank(item: Judged) -> float:
         return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
 
-    accepted: list[Judged] = []
-    for item in sorted(good, key=lambda j: (rank(j), -j.area)):
-        chosen = item
+    chosen: list[int] = []
+    for i in sorted(range(len(good)), key=lambda i: (rank(good[i]), -good[i].area)):
+        item, best = good[i], i
         if scene.sides:
             inner = [
-                other
-                for other in good
-                if 0.5 * item.area < other.area < 0.97 * item.area
-                and rank(other) < rank(item) + 0.3
-                and shared(item, other) > 0.9
+                j
+                for j in np.flatnonzero(meets[i]).tolist()
+                if 0.5 * item.area < good[j].area < 0.97 * item.area
+                and rank(good[j]) < rank(item) + 0.3
+                and shared(item, good[j]) > 0.9
             ]
-            chosen = min(inner, key=rank, default=item)
-        if not any(shared(chosen, other) > 0.15 for other in accepted):
-            accepted.append(chosen)
+            best = min(inner, key=lambda j: rank(good[j]), default=i)
+        if not any(meets[best, j] and shared(good[best], good[j]) > 0.15 for j in chosen):
+            chosen.append(best)
+    accepted = [good[i] for i in chosen]
     accepted = _without_octagons(scene, accepted)
     if scene.sides:
         return _without_shadows(scene, accepted)
@@ -136,11 +142,10 @@ def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
     # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
     dim = [_shadow_like(scene, item) or has_hole(scene, item.outline) for item in accepted]
-    casters = [
-        reach(item.outline, scene.plane).astype(np.float32)
-        for item, shadow in zip(accepted, dim, strict=True)
-        if not shadow and scene.plane is not None
-    ]
+    if scene.plane is None or not any(dim):
+        return accepted
+    upright = [item.outline for item, shadow in zip(accepted, dim, strict=True) if not shadow]
+    casters = [hull.astype(np.float32) for hull in reaches(upright, scene.plane)]
 
     def beside(item: Judged) -> bool:
         points = [(float(x), float(y)) for x, y in sampled(item.outline)]
@@ -153,7 +158,8 @@ def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
 
 def has_hole(scene: Scene, outline: Floats) -> bool:
     """Whether the table shows through the middle of an object."""
-    around = sampled(outline)
-    own = float(np.median(np.linalg.norm(scene.strengths(around, 0.85), axis=1)))
-    middle = np.concatenate([np.linalg.norm(scene.strengths(around, s), axis=1) for s in (0.05, 0.15, 0.25, 0.35)])
-    return own > 6.0 and float(np.mean(middle < max(3.0, 0.3 * own))) > 0.4
+    differences = scene.strengths(sampled(outline), 0.85, 0.05, 0.15, 0.25, 0.35)
+    strength = np.sqrt(np.vecdot(differences, differences))
+    rim = len(strength) // 5
+    own = float(np.median(strength[:rim]))
+    return own > 6.0 and float(np.mean(strength[rim:] < max(3.0, 0.3 * own))) > 0.4

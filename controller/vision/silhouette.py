@@ -7,6 +7,8 @@ end is measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +30,23 @@ def foot(top: Floats, plane: PlaneMap, height: float) -> Floats:
     return plane.at(0.0).to_pixels(plane.at(height).to_plane(top))
 
 
-def silhouette(top: Floats, plane: PlaneMap, height: float) -> Floats:
+def feet(tops: Sequence[Floats], plane: PlaneMap, height: float) -> list[Floats]:
+    """`foot` of several top faces at one height."""
+    if not tops:
+        return []
+    ends = np.cumsum([len(top) for top in tops])[:-1]
+    return np.split(foot(np.concatenate(tops), plane, height), ends)
+
+
+def _hull(top: Floats, below: Floats) -> Floats:
     """Hull (M, 2), px, of a top face and its foot."""
-    points = np.concatenate([top, foot(top, plane, height)]).astype(np.float32)
-    return np.asarray(cv2.convexHull(points)[:, 0], np.float64)
+    return np.asarray(cv2.convexHull(np.concatenate([top, below]).astype(np.float32))[:, 0], np.float64)
 
 
-def reach(top: Floats, plane: PlaneMap) -> Floats:
-    """Hull of everything that can be seen of a part with this top face, were it as tall as parts get."""
-    return silhouette(top, plane, 2.0 * plane.height * _TALLEST)
+def reaches(tops: Sequence[Floats], plane: PlaneMap) -> list[Floats]:
+    """Hulls of everything that can be seen of parts with these top faces, were they as tall as parts get."""
+    below = feet(tops, plane, 2.0 * plane.height * _TALLEST)
+    return [_hull(top, low) for top, low in zip(tops, below, strict=True)]
 
 
 def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: PlaneMap) -> list[Floats]:
@@ -47,16 +57,17 @@ def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: 
     """
     if not tops:
         return []
-    heights = np.full(len(tops), 2.0 * plane.height)
-    for step in range(2):
-        both = list(zip(tops, heights, strict=True))
-        shifts = np.array([np.linalg.norm((foot(top, plane, height) - top).mean(axis=0)) for top, height in both])
-        window = np.clip(0.45 * shifts, 3.0, 12.0) if step == 0 else np.full(len(tops), 3.0)
-        middle, normal, length = _chunks([silhouette(top, plane, height) for top, height in both])
-        stray, found = _edges(image, noise, middle, normal, length, window)
-        if step == 0:
-            taller = [silhouette(top, plane, 1.1 * height) for top, height in both]
-            heights = _follow(heights, middle, normal, stray, found, taller)
+    typical = 2.0 * plane.height
+    below = feet(tops, plane, typical)
+    shifts = np.array([np.linalg.norm((low - top).mean(axis=0)) for top, low in zip(tops, below, strict=True)])
+    middle, normal, length = _chunks([_hull(top, low) for top, low in zip(tops, below, strict=True)])
+    stray, found = _edges(image, noise, middle, normal, length, np.clip(0.45 * shifts, 3.0, 12.0))
+    taller = [_hull(top, low) for top, low in zip(tops, feet(tops, plane, 1.1 * typical), strict=True)]
+    heights = _follow(np.full(len(tops), typical), middle, normal, stray, found, taller)
+    middle, normal, length = _chunks(
+        [_hull(top, foot(top, plane, height)) for top, height in zip(tops, heights, strict=True)]
+    )
+    stray, found = _edges(image, noise, middle, normal, length, np.full(len(tops), 3.0))
     out = []
     for k in range(len(tops)):
         smooth = np.where(found[k], stray[k], 0.0)

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.fitting import Hypothesis
-from controller.vision.local_map import LocalMaps
 from controller.vision.others import other_objects
 from controller.vision.proposals import Region
-from controller.vision.refine import refine
+from controller.vision.refine import Refined, refine
 from controller.vision.scene import Found, Judged, Scene, overlap, whole
 from controller.vision.selection import has_hole, select
 from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, area, vertices
-from controller.vision.silhouette import foot, measure, reach
+from controller.vision.silhouette import feet, measure, reaches
 from controller.vision.timing import Stopwatch
 
 Floats = NDArray[np.float64]
@@ -93,7 +92,9 @@ def refined_outlines(scene: Scene, fits: list[list[Hypothesis]]) -> list[Judged]
     """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
     maps = scene.maps
     judged: list[Judged] = []
-    tried: list[Hypothesis] = []
+    # Centre, size and family of what was tried.
+    tried = np.empty((2 * len(fits), 4))
+    count = 0
     blur = 1.0
     for rank in (0, 1):
         wanted = []
@@ -105,15 +106,21 @@ def refined_outlines(scene: Scene, fits: list[list[Hypothesis]]) -> list[Judged]
             h = options[rank]
             if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
                 continue
-            if any(_same(h, other, maps) for other in tried):
+            row = np.array([*(maps.centers[h.region] + h.q[:2]), h.size, h.family.parameters])
+            if _same(row, tried[:count]):
                 continue
-            tried.append(h)
+            tried[count] = row
+            count += 1
             wanted.append(h)
         judged += _judged(scene, wanted, blur)
         good = [j.refined.blur for j in judged if j.badness < 1.0]
         blur = float(np.median(good)) if good else blur
     if scene.sides:
-        judged += _judged(scene, [_top_within(scene, j) for j in judged if j.badness < 1.0], blur)
+        good_ones = [j for j in judged if j.badness < 1.0]
+        assert scene.plane is not None
+        below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
+        tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]
+        judged += _judged(scene, tops, blur)
     return judged
 
 
@@ -125,15 +132,18 @@ def _judged(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]
         # Where side faces show, the rim beside a top face is looked at on purpose instead.
         [h.region for h in wanted], blur, restarts=0 if scene.sides else 3,
     )  # fmt: skip
-    out = []
+    kept: list[tuple[Hypothesis, Refined, Floats]] = []
     for h, r in zip(wanted, refined, strict=True):
         if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
             continue
         outline = maps.to_pixels(h.region, vertices(h.family, r.q))
         if not np.isfinite(outline).all() or _width(outline) < _THIN * settings.smallest_px:
             continue
+        kept.append((h, r, outline))
+    out = []
+    for (h, r, outline), slack in zip(kept, _slack(scene, [outline for _, _, outline in kept]), strict=True):
         covered = float(area(h.family, r.q[None])[0])
-        allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + _slack(scene, outline)
+        allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
         out.append(Judged(h, r, r.misfit / allowed, outline, covered, (float(x0), float(y0), float(x1), float(y1))))
     return out
@@ -144,11 +154,9 @@ def _width(outline: Floats) -> float:
     return float(min(cv2.minAreaRect(outline.astype(np.float32))[1]))
 
 
-def _top_within(scene: Scene, item: Judged) -> Hypothesis:
-    """Where the top face would be if an outline were the silhouette of a part with visible sides."""
-    assert scene.plane is not None
+def _top_within(scene: Scene, item: Judged, below: Floats) -> Hypothesis:
+    """Where the top face would be if an outline with that foot were the silhouette of a part with visible sides."""
     k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q.copy()
-    below = foot(item.outline, scene.plane, 2.0 * scene.plane.height)
     inwards = (scene.maps.to_local(k, below) - scene.maps.to_local(k, item.outline)).mean(axis=0)
     q[:2] -= 0.5 * inwards
     if family is CIRCLE:
@@ -162,20 +170,20 @@ def _top_within(scene: Scene, item: Judged) -> Hypothesis:
     return Hypothesis(k, family, q, item.hypothesis.cost, item.hypothesis.inliers, item.hypothesis.size)
 
 
-def _slack(scene: Scene, outline: Floats) -> float:
-    """Misfit, px, that side faces seen as a narrow rim beside the top face may cause."""
+def _slack(scene: Scene, outlines: list[Floats]) -> list[float]:
+    """Misfit, px, that side faces seen as a narrow rim beside each top face may cause."""
     if not scene.sides or scene.plane is None:
-        return 0.0
-    shift = float(np.linalg.norm((foot(outline, scene.plane, 2.0 * scene.plane.height) - outline).mean(axis=0)))
-    return min(0.4, 0.06 * shift) if math.isfinite(shift) else 0.0
+        return [0.0] * len(outlines)
+    below = feet(outlines, scene.plane, 2.0 * scene.plane.height)
+    shifts = [math.hypot(*(low - top).mean(axis=0)) for top, low in zip(outlines, below, strict=True)]
+    return [min(0.4, 0.06 * shift) if math.isfinite(shift) else 0.0 for shift in shifts]
 
 
-def _same(a: Hypothesis, b: Hypothesis, maps: LocalMaps) -> bool:
-    """Whether two hypotheses speak of the same outline."""
-    if a.family is not b.family or abs(a.size / b.size - 1.0) > 0.03:
-        return False
-    apart = maps.centers[a.region] + a.q[:2] - maps.centers[b.region] - b.q[:2]
-    return bool(np.abs(apart).sum() < 0.03 * a.size + 0.5)
+def _same(row: Floats, others: Floats) -> bool:
+    """Whether one of the others (N, 4), each a centre, a size and its family's parameters, is the same outline."""
+    x, y, size, family = others.T
+    near = np.abs(row[0] - x) + np.abs(row[1] - y) < 0.03 * row[2] + 0.5
+    return bool((near & (family == row[3]) & (np.abs(row[2] / size - 1.0) <= 0.03)).any())
 
 
 def _merged(scene: Scene, item: Judged) -> bool:
@@ -213,14 +221,12 @@ def _with_sides(image: NDArray[np.uint8], noise: Floats, found: list[Found], pla
     """Objects with their visible side faces as part of the outline, and without those faces as objects."""
     areas = [abs(cv2.contourArea(item.face.astype(np.float32))) for item in found]
     order = sorted(range(len(found)), key=lambda i: -areas[i])
-    kept: list[Found] = []
-    reaches: list[Floats] = []
+    hulls = reaches([item.face for item in found], plane)
+    chosen: list[int] = []
     for i in order:
-        item = found[i]
-        if any(overlap(item.face, other) > 0.6 for other in reaches):
-            continue
-        kept.append(item)
-        reaches.append(reach(item.face, plane))
+        if not any(overlap(found[i].face, hulls[j]) > 0.6 for j in chosen):
+            chosen.append(i)
+    kept = [found[i] for i in chosen]
     outlines = measure(image, noise, [item.face for item in kept], plane)
     return [
         replace(item, outline=outline, center=_centroid(outline), diameter=None)
