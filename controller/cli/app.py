@@ -35,6 +35,7 @@ ROOMS = {
     "service": "service",
     "teach": "teach",
     "classes": "classes",
+    "annotate": "annotate",
 }
 
 

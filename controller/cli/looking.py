@@ -14,7 +14,6 @@ from controller.domain import Detection, Frame
 from controller.errors import InputError
 from controller.geometry import PlaneMap
 from controller.vision.appearance.look import Surfaces, look
-from controller.vision.appearance.settings import Appearance
 from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
@@ -45,8 +44,10 @@ class Looking:
         """Sizes are mm."""
         return self._plane is not None
 
-    def at(self, path: Path) -> tuple[Sequence[Detection], Surfaces, PlaneMap | None]:
-        """What a picture shows, whole and large enough to be looked at.
+    def at(
+        self, path: Path, *, whole_only: bool = True
+    ) -> tuple[Sequence[Detection], Surfaces, PlaneMap | None]:
+        """What a picture shows; `whole_only`: without what its border cuts and without holes and prints.
 
         Raises:
             InputError: It cannot be read, or is not of the calibrated size.
@@ -55,8 +56,9 @@ class Looking:
         if self._plane is not None and image.shape[1::-1] != tuple(self._plane.camera.image_size):
             raise InputError(f"{path} is not of the size the lens was calibrated at", "use the same camera as it was")
         found = detect(Frame(1, 0.0, image, str(path)), self.recipe, plane=self._plane).detections
-        whole = [item for item in found if "cut_by_border" not in item.flags and not _within_another(item, found)]
-        return whole, look(image, whole, Appearance()), self._plane
+        if whole_only:
+            found = tuple(i for i in found if "cut_by_border" not in i.flags and not _within_another(i, found))
+        return found, look(image, found, self.recipe.appearance), self._plane
 
 
 def _within_another(item: Detection, all_: Sequence[Detection]) -> bool:

@@ -1,0 +1,62 @@
+"""Teaching on the command line: taught, named, tested and forgotten; what makes no sense changes nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tests.benchmarks import surfaces
+from tests.benchmarks.surfaces import KINDS, Thing
+from tests.system.conftest import Controller
+
+_COLOUR = ((60, 60, 190), (60, 60, 190))
+
+
+def _photos(folder: Path, kind: str, count: int, seed: int) -> Path:
+    """Pictures of two parts of a kind each, in any place and turn."""
+    folder.mkdir(exist_ok=True)
+    random = np.random.default_rng(seed)
+    for k in range(count):
+        things = [
+            Thing([ring * 32.0 for ring in KINDS[kind]], _COLOUR, x, 110.0, float(random.uniform(-3, 3)))
+            for x in (90.0, 250.0)
+        ]
+        picture = surfaces.paint(things, (340, 220), random, light=surfaces.field((340, 220), 5500.0, 0.8, 0.2, 1.0))
+        cv2.imwrite(str(folder / f"{kind}_{k}.png"), picture)
+    return folder
+
+
+def test_a_part_is_taught_named_and_forgotten(controller: Controller, tmp_path: Path) -> None:
+    taught = controller("teach", "big star", _photos(tmp_path / "star", "star", 4, 1), "--json")
+    assert taught.returncode == 0, taught.stderr
+    assert json.loads(taught.stdout)["confusion"]["big star"] == {"big star": 8}
+    _photos(_photos(tmp_path / "new", "star", 1, 4), "ring", 1, 5)
+    tested = controller("classes", "test", tmp_path / "new", "--json")
+    lines = [json.loads(line) for line in tested.stdout.splitlines()]
+    said = {Path(line["image"]).stem: {thing["class"] for thing in line["objects"]} for line in lines}
+    assert said == {"star_0": {"big star"}, "ring_0": {"unknown"}}
+    assert controller("classes", "remove", "big star").returncode == 0
+    assert controller("classes", "list", "--json").stdout == ""
+
+
+def test_an_empty_picture_teaches_nothing(controller: Controller, tmp_path: Path) -> None:
+    picture = surfaces.paint([], (340, 220), np.random.default_rng(0))
+    cv2.imwrite(str(tmp_path / "empty.png"), picture)
+    refused = controller("teach", "nothing", tmp_path / "empty.png")
+    assert refused.returncode == 1
+    assert "shows nothing" in refused.stderr
+    assert not (tmp_path / "state" / "sorting-controller" / "classes").exists()
+
+
+def test_a_rule_for_a_label_that_was_never_taught_stops_the_run_before_it_begins(
+    controller: Controller, tmp_path: Path
+) -> None:
+    text = (Path(__file__).parents[2] / "configs" / "sim.toml").read_text(encoding="utf-8")
+    rule = '\n[[sorting.rules]]\nlabel = "big star"\nbin = "squares"\n'
+    (tmp_path / "cell.toml").write_text(text + rule, encoding="utf-8")
+    refused = controller("run", "--sim", "--config", tmp_path / "cell.toml", "--out", tmp_path / "out")
+    assert refused.returncode == 78
+    assert "never taught" in refused.stderr
