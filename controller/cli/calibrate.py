@@ -16,6 +16,7 @@ from rich.table import Table
 from controller.backends import Devices, Level
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration, calibrate_camera
+from controller.calibration.store import load_calibration
 from controller.calibration.table import calibrate_table
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt
@@ -29,6 +30,7 @@ from controller.service.self_calibration import (
     calibrate_cell,
     check_cell,
     open_cell,
+    own_folder,
 )
 from controller.vision.read import read_image
 
@@ -145,8 +147,11 @@ def check(
     """
     options = _options(config, sim, seed, level, calibration)
     result: dict[str, Any] = {}
+    given = own_folder(options)
+    if given is not None:
+        load_calibration(given)  # files that are missing or do not belong together: said before anything is opened
     with open_cell(options) as (devices, folder), _stoppable(devices) as received, _or_interrupted(received):
-        if sim and calibration is None:
+        if given is None:
             calibrate_cell(devices, options.config, folder, options.say)
         began = devices.clock.now()
         result = check_cell(devices, options.config, folder, secrets.randbelow(2**31), options.say, points)

@@ -66,6 +66,13 @@ class CalibrationOptions:
     say: Say = lambda line: None
 
 
+def own_folder(options: CalibrationOptions) -> Path | None:
+    """Where the calibration is kept; None: a simulated cell that was given none makes its own."""
+    if options.folder is not None or options.sim:
+        return options.folder
+    return state_folder() / "calibration"
+
+
 @contextmanager
 def open_cell(options: CalibrationOptions) -> Iterator[tuple[Devices, Path]]:
     """Take the cell's lock and open its devices, the simulated table empty; yields them and the calibration's folder.
@@ -76,16 +83,14 @@ def open_cell(options: CalibrationOptions) -> Iterator[tuple[Devices, Path]]:
     """
     description = load_arm(options.config.arm.description)
     with ExitStack() as stack:
-        folder = options.folder
         if not options.sim:
             stack.enter_context(InstanceLock(state_folder()))
-            folder = folder or state_folder() / "calibration"
         backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level)
         devices = DEVICES[Mode.SIM if options.sim else Mode.REAL](options.config, description, backend)
         stack.callback(devices.close)
         devices.clear_table()
         devices.open()
-        yield devices, folder or new_run_folder(None, datetime.now()) / "calibration"
+        yield devices, own_folder(options) or new_run_folder(None, datetime.now()) / "calibration"
 
 
 def calibrate_camera_and_table(
@@ -123,7 +128,7 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
     lens = CameraCalibration.load(folder / CAMERA)
     table = TableCalibration.load(folder / TABLE, lens)
     by_ruler = CellCalibration("by ruler", lens.camera, table.T_table_camera, config.table.T_base_table())
-    with _at_work(devices.arm, config, by_ruler) as mover:
+    with at_work(devices.arm, config, by_ruler) as mover:
         made = calibrate_arm(
             devices.arm,
             devices.camera,
@@ -180,7 +185,7 @@ def check_cell(
             missed.append(np.array(devices.truth.tool()) - place)
 
     area = config.table.work_area
-    with _at_work(devices.arm, config, stored.cell()) as mover:
+    with at_work(devices.arm, config, stored.cell()) as mover:
         found = certificate.check_arm(
             devices.arm,
             devices.camera,
@@ -220,7 +225,7 @@ def check_cell(
 # --- at work --------------------------------------------------------------------------------------------
 
 
-class _Mover:
+class Mover:
     """Moves one arm by a plan, and corrects where a move ends."""
 
     def __init__(self, arm: Arm, planner: Planner) -> None:
@@ -258,10 +263,10 @@ class _Mover:
 
 
 @contextmanager
-def _at_work(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Iterator[_Mover]:
+def at_work(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Iterator[Mover]:
     """Energise the arm, and in the end park it and let go; after a failure of the arm it holds still."""
     arm.energise()
-    mover = _Mover(arm, _planner(arm, config, calibration))
+    mover = Mover(arm, _planner(arm, config, calibration))
     try:
         yield mover
     except ArmError:
@@ -273,7 +278,7 @@ def _at_work(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Iter
     _park(mover)
 
 
-def _park(mover: _Mover) -> None:
+def _park(mover: Mover) -> None:
     if mover.arm.follow(mover.planner.park(mover.arm.state().positions)).finished:
         mover.arm.relax()
 
