@@ -12,6 +12,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import cv2
@@ -54,6 +55,7 @@ def sort_one(job: Job) -> Record:
             Mode.SIM, job.config, out=out, parts=job.parts, seed=job.seed, level=job.level, watch=trial.watch
         )
         problem = {}
+        began = process_time()
         try:
             figures = Session(options).run()
         except Exception as error:
@@ -64,7 +66,7 @@ def sort_one(job: Job) -> Record:
             figures = json.loads(report.read_text(encoding="utf-8")) if report.is_file() else {}
     if not figures:
         return {"seed": job.seed, **problem}
-    return {"seed": job.seed, **problem, **trial.record(figures)}
+    return {"seed": job.seed, "cpu_s": round(process_time() - began, 3), **problem, **trial.record(figures)}
 
 
 def evaluate_sim(

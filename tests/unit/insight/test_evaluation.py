@@ -30,6 +30,7 @@ def record(seed: int, **figures: int) -> dict[str, Any]:
     outcome = {"result": "placed", "verdict": "correct", "true": "square", "seen": "square", "bin": "squares"}
     return {
         "seed": seed,
+        "cpu_s": 2.0,
         "figures": {**every, "wall_s": 2.0, **figures},
         "seen": [{**look, "angle_deg": 0.5, "size_mm": 0.1}],
         "missed": [],
