@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Floats32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
+Box = tuple[slice, slice]
 
 _SAMPLES = 1500
 """About how many pixels the polynomial and the covariance are fitted to: enough for 2 % of a standard deviation."""
@@ -37,12 +38,13 @@ class Whitened:
     table_colour: Floats
 
 
-def whiten(image: Floats32, empty: Floats32 | None = None) -> Whitened:
+def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = None) -> Whitened:
     """The frame's whitened difference from the table.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype float32, smoothed.
         empty: The same view of the empty table, same shape; None to estimate the table from the frame.
+        box: Rows and columns outside of which the difference is left 0; the table is estimated from all of the frame.
     """
     height, width = image.shape[:2]
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
@@ -51,13 +53,18 @@ def whiten(image: Floats32, empty: Floats32 | None = None) -> Whitened:
     reference = image if empty is None else image - empty
     samples = reference[ys, xs].astype(np.float64)
     coefficients, order, weight = _robust_surface(samples, xs / width - 0.5, ys / height - 0.5)
-    difference = reference - _surface(coefficients, order, height, width)
-    rest = difference[ys, xs].astype(np.float64)
+    surface = _surface(coefficients, order, height, width)
+    rest = (reference[ys, xs] - surface[ys, xs]).astype(np.float64)
     covariance = _robust_covariance(rest, weight) + np.eye(3) * _NOISE_FLOOR**2 / 3.0
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-    out = cv2.transform(difference, whitener.astype(np.float32))
+    matrix = whitener.astype(np.float32)
+    if box is None:
+        out = np.asarray(cv2.transform(cv2.subtract(reference, surface), matrix), np.float32)
+    else:
+        out = np.zeros(image.shape, np.float32)
+        out[box] = cv2.transform(cv2.subtract(reference[box], surface[box]), matrix)
     colour = np.average(image[ys, xs], axis=0, weights=weight + 1e-9)
-    return Whitened(np.asarray(out, np.float32), whitener, np.asarray(colour, np.float64))
+    return Whitened(out, whitener, np.asarray(colour, np.float64))
 
 
 def _powers(order: int) -> list[tuple[int, int]]:
@@ -95,12 +102,13 @@ def _scale(rest: Floats) -> Floats:
 
 def _shortest(values: Floats) -> tuple[Floats, Floats]:
     """Start and width of the shortest interval with 45 % of the values, for each column."""
-    ordered = np.sort(values, axis=0)
-    count = max(1, int(0.45 * len(ordered)))
-    widths = ordered[count:] - ordered[:-count]
-    best = widths.argmin(axis=0)
-    columns = np.arange(values.shape[1])
-    return ordered[best, columns], widths[best, columns]
+    # Rows are sorted much faster than columns.
+    ordered = np.sort(np.ascontiguousarray(values.T), axis=1)
+    count = max(1, int(0.45 * ordered.shape[1]))
+    widths = ordered[:, count:] - ordered[:, :-count]
+    best = widths.argmin(axis=1)
+    columns = np.arange(len(ordered))
+    return ordered[columns, best], widths[columns, best]
 
 
 def _surface(coefficients: Floats, order: int, height: int, width: int) -> Floats32:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.geometry import PlaneMap
-from controller.vision.background import Whitened, whiten
+from controller.vision.background import Box, Whitened, whiten
 from controller.vision.fitting import Hypothesis, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.proposals import Region, propose, split_necks
@@ -42,11 +42,12 @@ def search(
     mask = None
     if region is not None:
         mask = cv2.resize(region, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    box = None if mask is None else _box(np.asarray(mask))
     watch.lap("reduce")
-    white = whiten(small, empty)
+    white = whiten(small, empty, box)
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
-    regions, strengths = propose(white, settings.level, smallest)
+    regions, strengths = propose(white, settings.level, smallest, box)
     if trace is not None:
         for name, strength in strengths.items():
             trace[name] = np.clip(4.0 * strength, 0.0, 255.0).astype(np.uint8)
@@ -137,6 +138,15 @@ def without_spikes(image: NDArray[np.uint8], noise: Floats) -> NDArray[np.uint8]
     clean = np.asarray(cv2.medianBlur(image, 3), np.uint8)
     mask = (cv2.absdiff(image, clean).max(axis=2) > limit).astype(np.uint8)
     return np.asarray(cv2.copyTo(clean, mask, image.copy()), np.uint8)
+
+
+def _box(mask: NDArray[np.uint8]) -> Box | None:
+    """Rows and columns of the mask, with a margin for what only has its middle in it; None when all of it is 0."""
+    x, y, w, h = cv2.boundingRect(mask)
+    if w == 0:
+        return None
+    margin = max(mask.shape) // 8
+    return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
 
 
 def _center(contour: NDArray[np.float32]) -> Floats:

@@ -6,14 +6,14 @@ soft one no edges), so that their regions are all proposed and the fit decides b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.background import Whitened
+from controller.vision.background import Box, Whitened
 
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
@@ -44,19 +44,26 @@ class Region:
     core: bool = False
 
 
-def propose(white: Whitened, level: float, smallest: float) -> tuple[list[Region], dict[str, NDArray[np.float32]]]:
+def propose(
+    white: Whitened, level: float, smallest: float, box: Box | None = None
+) -> tuple[list[Region], dict[str, NDArray[np.float32]]]:
     """Regions worth a closer look, and the strength maps they came from.
 
     Args:
         white: The whitened frame.
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
+        box: Rows and columns to look at; the maps are of this part only.
     """
+    if box is not None:
+        regions, maps = propose(replace(white, difference=white.difference[box]), level, smallest)
+        corner = np.array([box[1].start, box[0].start], np.float32)
+        return [replace(item, contour=item.contour + corner) for item in regions], maps
     squared = cv2.multiply(white.difference, white.difference)
     strength = np.asarray(cv2.sqrt(cv2.transform(squared, np.ones((1, 3), np.float32))), np.float32)
     chroma = _chroma(white)
     edges = _edge_energy(white.difference)
-    regions: list[Region] = []
+    regions = []
     for cue, image in (("level", strength), ("chroma", chroma)):
         regions += _components(image, level, smallest, cue)
     regions += _edge_regions(edges, smallest)
@@ -96,11 +103,12 @@ def _components(image: Floats32, level: float, smallest: float, cue: str) -> lis
     inside = np.flatnonzero(flat)
     values = image.ravel()[inside]
     names = flat[inside]
-    squares = np.bincount(names, values**2, count)
-    own = np.bincount(names, values**3, count) / np.maximum(squares, 1e-9)
+    squared = values * values
+    own = np.bincount(names, squared * values, count) / np.maximum(np.bincount(names, squared, count), 1e-9)
     half = np.where(np.bincount(names, minlength=count) >= smallest, 0.5 * own, np.inf).astype(np.float32)
     half[0] = np.inf
-    core = ((image > half[labels]) & (mask > 0)).astype(np.uint8)
+    core = np.zeros(mask.shape, np.uint8)
+    core.ravel()[inside] = values > half[names]
     return _contours(core, smallest, cue, core=True) + _contours(mask, smallest, cue)
 
 

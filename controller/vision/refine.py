@@ -157,9 +157,10 @@ def _refine(
     size = np.array([math.sqrt(max(float(area(f, q[None])[0]), 1.0)) for f, q in zip(families, qs, strict=True)])
     start = batch.q.copy()
     reach = np.minimum(np.maximum(4.5, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
-    _rounds(image, noise, batch, maps, size, reach, 3)
+    _rounds(image, noise, batch, maps, size, reach, 3, last=False)
     reach = np.minimum(np.maximum(4.0, 4.0 * batch.blur), np.maximum(3.0, 0.3 * size))
     state = _rounds(image, noise, batch, maps, size, reach, 2)
+    assert state is not None
     return _verdicts(batch, state, start, size, noise)
 
 
@@ -187,8 +188,14 @@ def _rounds(
     size: Floats,
     reach: Floats,
     rounds: int,
-) -> _State:
-    """Sample once, then some Gauss-Newton steps; changes `batch.q` and `batch.blur`."""
+    *,
+    last: bool = True,
+) -> _State | None:
+    """Sample once, then some Gauss-Newton steps; changes `batch.q` and `batch.blur`.
+
+    Returns:
+        Where the fit stands after the last step, or None if `last` says that nobody asks.
+    """
     starts, ends, normals = chunk_ends(batch, maps)
     columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
     profiles = sample(image, starts, ends, normals, reach, columns)
@@ -201,7 +208,7 @@ def _rounds(
     free = (profiles.inside & clear_of_corners(batch, local)).astype(np.float64)
     value, inner = _contrasts(profiles, local, free, noise, size)
     weight = free
-    for step in range(rounds + 1):
+    for step in range(rounds + last):
         dx = local[..., 0] - batch.q[:, None, None, 0]
         dy = local[..., 1] - batch.q[:, None, None, 1]
         distance, jacobian = side_distance(batch, dx, dy, chord)
@@ -246,7 +253,7 @@ def _rounds(
         batch.q += np.clip(change[:, :PARAMETERS], -1.5, 1.5)
         swing = np.clip(change[:, PARAMETERS], -0.4 * batch.blur, 0.6 * batch.blur)
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
-    raise AssertionError("the last round returns")
+    return None
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
