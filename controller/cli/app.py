@@ -36,6 +36,7 @@ ROOMS = {
     "teach": "teach",
     "classes": "classes",
     "annotate": "annotate",
+    "train": "train",
 }
 
 

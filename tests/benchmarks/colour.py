@@ -2,6 +2,7 @@
 
     python tests/benchmarks/colour.py
     python tests/benchmarks/colour.py --shared ../shared/data
+    python tests/benchmarks/colour.py --cells 10 --level dynamic
 
 Lamps: black bodies of 2700 to 6500 K, exposure 0.5 to 2 times, a gradient of up to 40 % across the picture. The
 exposure at 1x is chosen so that white under the brightest lamp is just not clipped. The camera's own white balance
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import tempfile
 from collections import Counter
 from pathlib import Path
 from time import perf_counter
@@ -29,6 +31,7 @@ from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
 from tests.benchmarks import surfaces
+from tests.benchmarks.cell_vision import look_at_cell
 from tests.benchmarks.surfaces import SQUARE, Image, Thing, polygon
 from tests.benchmarks.texture import detection_of
 
@@ -119,13 +122,38 @@ def real(folder: Path) -> None:
             print(json.dumps(line | {"not_found": missed, "wrong": dict(wrong)}), flush=True)
 
 
+def cells(count: int, level: str) -> None:
+    """Colours of the painted parts of simulated cells, as detection names them, against the truth."""
+    right, wrong = 0, Counter[str]()
+    times = []
+    for seed in range(2000, 2000 + count):
+        with tempfile.TemporaryDirectory() as folder:
+            seen = look_at_cell(seed, 20, level, Path(folder))
+        times.append(seen.detected.timing_ms["appearance"])
+        for thing in seen.located.objects:
+            part = min(seen.truth, key=lambda part: math.dist(part.center, thing.center))
+            if math.dist(part.center, thing.center) > 15.0:
+                continue
+            if thing.detection.colour == part.colour:
+                right += 1
+            else:
+                wrong[f"{part.colour} -> {thing.detection.colour}"] += 1
+    figures = {"cells": count, "level": level, "right": right, "wrong": dict(wrong)}
+    print(json.dumps(figures | {"appearance_ms": round(float(np.median(times)), 2)}))
+
+
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--shared", type=Path, help="folder of annotated photographs")
+    parser.add_argument("--cells", type=int, default=0, help="look at so many simulated cells of 20 parts instead")
+    parser.add_argument("--level", type=str, default="dynamic")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
+    if arguments.cells:
+        cells(arguments.cells, arguments.level)
+        return
     if arguments.shared:
         real(arguments.shared)
         return

@@ -60,3 +60,19 @@ def test_a_rule_for_a_label_that_was_never_taught_stops_the_run_before_it_begins
     refused = controller("run", "--sim", "--config", tmp_path / "cell.toml", "--out", tmp_path / "out")
     assert refused.returncode == 78
     assert "never taught" in refused.stderr
+
+
+def test_annotations_are_proposed_corrected_and_learnt(controller: Controller, tmp_path: Path) -> None:
+    folder = _photos(_photos(tmp_path / "photos", "star", 3, 7), "cross", 3, 8)
+    assert controller("annotate", folder).returncode == 0
+    path = folder / "annotations.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert [entry["n"] for entry in content["images"]] == [2] * 6
+    for entry in content["images"]:
+        for thing in entry["objects"]:
+            thing["class"] = entry["file"].split("_")[0]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    result = json.loads(controller("train", folder, "--json").stdout)
+    assert result["examples"] == 12
+    assert result["right"]["nearest_views"] == 1.0
+    assert json.loads(controller("annotate", folder, "--json").stdout)["proposed"] == 0

@@ -1,0 +1,122 @@
+"""`controller train`: classes from a folder of annotated pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from controller.cli.annotate import FILE, read_annotations
+from controller.cli.classes import ClassesFolder, classes_folder, confusion_table
+from controller.cli.looking import Looking
+from controller.cli.output import stdout
+from controller.errors import InputError
+from controller.vision.classes.features import LENGTH, features
+from controller.vision.classes.store import TaughtClass, checked_name, load_classes, save_class
+from controller.vision.classes.taught import LEAST_VIEWS, Taught
+from controller.vision.classes.training import Examples, by_class, cross_validated
+
+_NEAR = 0.3
+"""An object found this share of its size from an annotated centre is the annotated one."""
+
+
+def train(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of pictures with annotations.json.")],
+    recipe: Annotated[str, typer.Option(metavar="precise|FILE", help="How to look.")] = "precise",
+    classes: ClassesFolder = None,
+    dry: Annotated[bool, typer.Option("--dry", help="Only say how well it would do.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")] = False,
+) -> None:
+    """Learn the classes of a folder of annotated pictures, and say how well each way of learning does.
+
+    Example: controller train photos
+
+    Cross-validates, picture by picture, a support vector machine on the paper's variables, one on all features, and
+    the nearest views; the views are kept as taught classes, usable in sorting rules at once.
+    """
+    target = classes_folder(classes)
+    examples, missed = _examples(folder, recipe)
+    counts = Counter(examples.labels)
+    rare = [name for name, count in counts.items() if count < LEAST_VIEWS]
+    if rare or len(counts) < 2:
+        what = f"class {rare[0]!r} has {counts[rare[0]]} examples" if rare else f"{len(counts)} classes"
+        raise InputError(f"{folder}: {what}", f"annotate {LEAST_VIEWS} objects and more of two classes and more")
+    said = cross_validated(examples)
+    share = {
+        way: round(float(np.mean([a == b for a, b in zip(examples.labels, names, strict=True)])), 4)
+        for way, names in said.items()
+    }
+    if not dry:
+        _keep(examples, target)
+    if as_json:
+        result = {"examples": len(examples.labels), "not_found": missed, "right": share, "kept": not dry}
+        confusion = {way: by_class(examples.labels, names) for way, names in said.items()}
+        print(json.dumps(result | {"confusion": confusion}))
+        return
+    console = stdout()
+    console.print(f"{len(examples.labels)} examples of {len(counts)} classes, {missed} annotated objects not found")
+    table = Table("way of learning", "right, unseen pictures", box=None, pad_edge=False)
+    for way, value in share.items():
+        table.add_row(way, f"{value:.1%}")
+    console.print(table)
+    nearest = by_class(examples.labels, said["nearest_views"])
+    console.print(confusion_table({name: Counter(row) for name, row in nearest.items()}))
+    if not dry:
+        console.print(f"kept as taught classes in {target}")
+
+
+def _examples(folder: Path, recipe: str) -> tuple[Examples, int]:
+    """Every annotated object that detection finds, and how many it does not."""
+    looking = Looking(recipe)
+    labels, pictures = [], []
+    rows, papers, missed = [np.empty((0, LENGTH), np.float32)], [np.empty((0, 3))], 0
+    for entry in read_annotations(folder / FILE)["images"]:
+        detections, surfaces, plane = looking.at(folder / Path(entry["file"]).name, whole_only=False)
+        values = features(detections, surfaces, plane)
+        seen = [detections[k] for k in surfaces.which]
+        for thing in entry["objects"]:
+            if thing.get("cut_by_border"):
+                continue
+            near = [math.dist(item.center_px, thing["centre_px"]) / max(item.size_px) for item in seen]
+            if not near or min(near) > _NEAR:
+                missed += 1
+                continue
+            k = int(np.argmin(near))
+            item = seen[k]
+            relative = item.descriptors.side_difference / math.sqrt(max(item.area_px, 1.0))
+            papers.append(np.array([[item.descriptors.extent, item.descriptors.compactness, relative]]))
+            rows.append(values[k : k + 1])
+            labels.append(checked_name(thing["class"]))
+            pictures.append(entry["file"])
+    stacked = np.concatenate(papers).astype(np.float32), np.concatenate(rows)
+    return Examples(tuple(labels), tuple(pictures), *stacked), missed
+
+
+def _keep(examples: Examples, target: Path) -> None:
+    """Save the examples as taught classes, beside those of other names."""
+    names = np.array(examples.labels)
+    new = [
+        TaughtClass(
+            str(name),
+            "px",
+            examples.features[names == name],
+            tuple(p for p, own in zip(examples.pictures, names == name, strict=True) if own),
+        )
+        for name in np.unique(names)
+    ]
+    kept = [item for item in load_classes(target) if item.name not in set(examples.labels)]
+    # Refuses classes in other units before anything is written.
+    Taught((*kept, *new))
+    for item in new:
+        save_class(target, item)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command to the program."""
+    app.command("train")(train)
