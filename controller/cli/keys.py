@@ -82,9 +82,12 @@ class Client:
         self._idle = threading.Event()
         self._ended = threading.Event()
 
+    def ready(self) -> None:
+        """The arm stands: the next key counts."""
+        self._idle.set()
+
     def next(self) -> str:
         """Wait for the next command."""
-        self._idle.set()
         line = self._lines.get()
         self._idle.clear()
         return line

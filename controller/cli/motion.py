@@ -86,7 +86,10 @@ def _jog(cell: ManualCell, keys: Keys | None, taught: Path | None, as_json: bool
 
     def lost() -> None:
         arm.request_stop()
-        client.forget()
+        if keys is not None:
+            client.forget()
+        else:
+            client.quit()
 
     dead_man = DeadMan(lost)
     client = Client(dead_man.beat, arm.request_stop, keys)
@@ -101,9 +104,12 @@ def _jog(cell: ManualCell, keys: Keys | None, taught: Path | None, as_json: bool
         print(HELP, file=sys.stderr)
     with on_interrupt(end, _HOLDS) as received, client.reading(), dead_man.watching():
         arm.energise()
-        show(cell, as_json, {})
+        said: dict[str, object] = {}
         while True:
+            client.ready()
+            show(jogger.cell, as_json, said)
             line = client.next()
+            note = ""
             try:
                 command = parse(line, len(arm.description.joints))
                 if command.what == "quit":
@@ -114,8 +120,8 @@ def _jog(cell: ManualCell, keys: Keys | None, taught: Path | None, as_json: bool
                 note = f"refused: {error}"
             if note:
                 print(note, file=sys.stderr)
-            show(jogger.cell, as_json, {"command": line, "note": note})
-    return exit_code(received) or int(failed and keys is None)
+            said = {"command": line, "note": note}
+    return exit_code(received) or int(keys is None and (failed or dead_man.lost))
 
 
 _HOLDS = "stopping: the arm slows down along its path and holds; once more gives up waiting"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from controller.cli import execute
 from controller.config.files import shipped
 from controller.service.lock import InstanceLock
 from tests.system.conftest import Controller
@@ -29,17 +30,18 @@ def test_home_and_park(controller: Controller) -> None:
     assert found["joints_deg"]["shoulder"] == pytest.approx(-103.1, abs=2.0)
 
 
-def test_home_needs_the_cell_for_itself(controller: Controller, tmp_path: Path) -> None:
-    with InstanceLock(tmp_path / "state" / "sorting-controller"):
-        done = controller("home", "--config", shipped("cell.toml"))
-    assert done.returncode == 75
-    assert str(os.getpid()) in done.stderr
+def test_home_needs_the_cell_for_itself(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    with InstanceLock(tmp_path):
+        assert execute(["home", "--config", str(shipped("cell.toml"))]) == 75
+    assert str(os.getpid()) in capsys.readouterr().err
 
 
-def test_home_without_a_configuration(controller: Controller) -> None:
-    done = controller("home")
-    assert done.returncode == 78
-    assert "--sim" in done.stderr
+def test_home_without_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["home"]) == 78
+    assert "--sim" in capsys.readouterr().err
 
 
 def test_jog_from_a_pipe(environment: dict[str, str], tmp_path: Path) -> None:
@@ -90,6 +92,7 @@ def test_jog_from_a_terminal(environment: dict[str, str], tmp_path: Path) -> Non
         turned = json.loads(jog.stdout.readline())
         assert turned["command"] == "j2+ 2"
         assert turned["joints_deg"]["shoulder"] - first["joints_deg"]["shoulder"] == pytest.approx(2.0, abs=0.5)
+        assert jog.poll() is None
         os.write(ours, b"q")
         assert jog.wait(timeout=60.0) == 0
     finally:
@@ -115,13 +118,18 @@ def test_ctrl_c_ends_jogging(environment: dict[str, str], tmp_path: Path) -> Non
         assert jog.wait(timeout=60.0) == 130
 
 
-def test_bins_are_taught_beside_the_configuration(controller: Controller, tmp_path: Path) -> None:
+def test_bins_are_taught_beside_the_configuration(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     config = shipped("cell.toml")
     before = config.read_bytes()
-    done = controller("bins", "set", "squares", "--at", "-180", "230", "--config", config)
-    assert done.returncode == 0, done.stderr
-    listed = controller("bins", "list", "--config", config, "--json")
-    bins = {bin_["name"]: bin_ for bin_ in map(json.loads, listed.stdout.splitlines())}
+    assert execute(["bins", "set", "squares", "--at", "-180", "230", "--config", str(config)]) == 0
+    assert execute(["bins", "set", "circles", "--at", "-900", "0", "--config", str(config)]) == 78
+    said = capsys.readouterr()
+    assert "cannot be reached" in said.err
+    assert execute(["bins", "list", "--config", str(config), "--json"]) == 0
+    bins = {bin_["name"]: bin_ for bin_ in map(json.loads, capsys.readouterr().out.splitlines())}
     assert bins["squares"]["center_mm"] == [-180.0, 230.0]
     assert bins["squares"]["taught"]
     assert not bins["circles"]["taught"]
@@ -138,3 +146,13 @@ def test_rehearsals_touch_nothing(controller: Controller, tmp_path: Path) -> Non
     figures = json.loads(dry.stdout)
     assert figures["rehearsal"] == "dry"
     assert "correct" not in figures
+
+
+def test_identify_writes_beside_the_calibration(controller: Controller, tmp_path: Path) -> None:
+    done = controller("identify", "--sim", "--level", "dynamic", "--seed", 2, "--calibration", "cal", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert json.loads((tmp_path / "cal" / "identification.json").read_text()) == found
+    # Masses of this level are off by up to a tenth: the gains stay near the described ones.
+    assert found["joints"]["shoulder"]["stiffness"] == pytest.approx(18.9, rel=0.2)
+    assert max(found["rms_after_rad"].values()) < 0.005
