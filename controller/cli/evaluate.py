@@ -15,10 +15,7 @@ from controller.cli.evaluate_paper import evaluate_paper
 from controller.cli.evaluate_sim import Job, evaluate_sim
 from controller.config.cell import load_cell
 
-group = typer.Typer(
-    help="Measure accuracy against truth: a simulated world's, or that of annotated pictures.",
-    invoke_without_command=True,
-)
+group = typer.Typer(invoke_without_command=True)
 
 
 @group.callback()
@@ -45,7 +42,7 @@ def evaluate(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
 ) -> int:
-    """Measure accuracy against truth.
+    """Measure accuracy against truth: a simulated world's, or that of annotated pictures.
 
     Examples: controller evaluate --sim --frames 100 --level dynamic --report evaluation |
     controller evaluate --sim --compare evaluation/evaluation.json | controller evaluate --images photos --report seen
