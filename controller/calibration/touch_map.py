@@ -92,6 +92,8 @@ def _caption(panel: Image, found: Certificate, made_at: str) -> None:
         f"arrows: sent to seen, {_MAGNIFIED:g} times as long",
         "x of the table up, y to the left",
     ]
+    if found.unseen_mm:
+        lines.insert(3, f"   and {found.unseen_mm:.1f} mm that the marker cannot show")
     for index, line in enumerate(lines):
         cv2.putText(panel, line, (0, 90 + 24 * index), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
     top = 90 + 24 * len(lines)

@@ -194,6 +194,11 @@ def _certificate(result: dict[str, Any], folder: Path) -> None:
         if key in result:
             grid.add_row(what, *(f"{result[key][figure]:.2f}" for figure in ("mean", "p95", "max")))
     stdout().print(grid)
+    if result["unseen_mm"]:
+        print(
+            f"the marker cannot show where the tip is to better than {result['unseen_mm']:.1f} mm: this arm has no "
+            "wrist roll, and the offset of its last joint looks like the marker's mount"
+        )
     mean, p95 = (result["limits_mm"][figure] for figure in ("mean", "p95"))
     print(f"{result['verdict']} at {result['points']} places (limits: mean {mean:g}, p95 {p95:g} mm)")
     print(f"Certificate and heat map: {folder}")

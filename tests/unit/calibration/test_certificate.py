@@ -53,7 +53,7 @@ def check(
     """
     # Only the methods that the procedure calls are there.
     cell: Any = Cell(looked_at or m)
-    offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in ARM.joint_names])
+    offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in m.arm.joint_names])
     missed: list[Array] = [] if arrived is None else arrived
     table = TableCalibration("table-x", "camera-x", m.T_table_camera, 0.1, 0.1, 10)
     found = check_arm(
@@ -123,6 +123,19 @@ def test_its_json_is_the_contracts() -> None:
     assert {"touch_mm", "before_mm", "points", "verdict", "calibration_id"} <= set(content)
     assert set(content["touch_mm"]) == {"mean", "p95", "max"}
     assert len(content["places_mm"]) == len(content["errors_mm"]) == content["points"]
+
+
+def test_an_arm_without_a_roll_gets_no_certificate_from_its_marker_alone() -> None:
+    short = load_arm("pincherx_100")
+    m = Metal(short, LENS, ABOVE @ small(np.random.default_rng(1), 15.0, 3.0), nominal=pose(170.0, 0.0, 0.0), seed=1)
+    view = MarkerView(short, ArmMarker(), LENS, m.T_table_camera, m.nominal)
+    arm = fit_arm(view, [Observation(q, m.corners(q)) for q in choose(view, 20, clearance=45.0)])
+    found, missed = check(m, arm, seed=7, points=6, radius=(120.0, 200.0))
+    # The camera sees nothing wrong, yet the tip is beside: the offset of the last joint hides in the mount.
+    assert found.touch_mm.mean < 1.0
+    assert np.linalg.norm(missed, axis=1).mean() > found.touch_mm.mean
+    assert found.unseen_mm > 1.0
+    assert found.verdict == FAILED
 
 
 def test_a_work_area_out_of_reach_is_said() -> None:

@@ -14,7 +14,7 @@ SQUARE = np.array([[-100.0, -100.0], [100.0, -100.0], [100.0, 100.0], [-100.0, 1
 def certificate(errors: list[list[float]], verdict: str) -> Certificate:
     places = np.array([[60.0, 60.0], [60.0, -60.0], [-60.0, 60.0], [-60.0, -60.0]])
     misses = Residual.of(np.linalg.norm(errors, axis=1))
-    return Certificate(misses, misses, misses, places, np.array(errors), verdict, "arm-0123456789ab")
+    return Certificate(misses, misses, misses, places, np.array(errors), 0.0, verdict, "arm-0123456789ab")
 
 
 def test_a_corner_that_misses_stands_out_on_the_side_where_it_is() -> None:
