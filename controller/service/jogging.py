@@ -255,7 +255,7 @@ def teach(cell: ManualCell, name: str, center: tuple[float, float], path: Path) 
         ConfigError: There is no such bin, the arm cannot put parts into it there, or the file cannot be written.
     """
     config = moved(cell.config, name, (round(center[0], 2), round(center[1], 2)))
-    arm = cell.arm.description
+    arm = cell.planner.arm
     check(config, arm, Planner(arm, cell.calibration, config.bin_values()))
     save_taught(path, name, center)
     planner = ManualPlanner(arm, cell.calibration, config.bin_values())
