@@ -1,0 +1,95 @@
+"""A few fields of the fault matrix, a few kills, scripts of faults, and a disk that is really full.
+
+The whole matrix is `tests/benchmarks/fault_matrix.py`, the kills `tests/benchmarks/kills.py`.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from controller.config.files import shipped
+from controller.errors import ConfigError, LedgerError
+from controller.ledger.sqlite import SqliteLedger
+from controller.service.faults import CATALOGUE
+from sim_backends.fault_script import FAULTS, load_script
+from sim_backends.virtual_clock import VirtualClock
+from tests.benchmarks.cell_vision import look_at_cell
+from tests.benchmarks.fault_matrix import CASES, SEED, run_case
+from tests.benchmarks.kills import run as run_kills
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The calibration of the matrix's cell."""
+    folder = tmp_path_factory.mktemp("cell")
+    look_at_cell(SEED, 1, "dynamic", folder)
+    return folder / "calibration"
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"),
+    [("camera_lost", "CAPTURE"), ("ledger_unwritable", "PLACE"), ("bus_timeout", "PLACE"), ("servo_overload", "PICK")],
+)
+def test_a_fault_ends_as_the_catalogue_says(fault: str, state: str, calibration: Path, tmp_path: Path) -> None:
+    assert run_case(CASES[fault], state, calibration, tmp_path / "case").complaints == []
+
+
+def test_kills_lose_nothing_and_double_nothing(calibration: Path, tmp_path: Path) -> None:
+    verdicts = run_kills(2, 3, calibration, tmp_path)
+    assert [complaint for verdict in verdicts for complaint in verdict.complaints] == []
+
+
+def test_everything_in_the_matrix_and_in_scripts_is_in_the_catalogue() -> None:
+    assert set(CATALOGUE) >= FAULTS
+    assert set(CASES) == FAULTS - {"power_lost"}  # which no process survives to be judged: see the kills
+
+
+@pytest.mark.parametrize("path", sorted(shipped("sim.toml").parent.glob("faults/*.toml")), ids=lambda path: path.stem)
+def test_the_shipped_scripts_can_be_read(path: Path) -> None:
+    assert load_script(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[[fault]]\nfault = "camera_lots"\nat_s = 1', "camera_lots"),
+        ('[[fault]]\nfault = "camera_lost"', "when is not clear"),
+        ('[[fault]]\nfault = "camera_lost"\nat_s = 1\non = { state = "PICK" }', "when is not clear"),
+        ('[[fault]]\nfault = "camera_lost"\non = { state = "PIKC" }', "PIKC"),
+        ('[[fault]]\nfault = "camera_lost"\nat_s = -1', "at_s is -1"),
+        ('[[fault]]\nfault = "camera_lost"\nat = 1', "unknown key 'at'"),
+        ("[fault]", "something else"),
+        ("[[fault", "Expected"),
+    ],
+)
+def test_a_wrong_script_is_refused_with_its_place(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        load_script(path)
+
+
+def test_a_ledger_goes_on_when_the_disk_has_space_again(tmp_path: Path) -> None:
+    with SqliteLedger(tmp_path / "ledger.db", clock=VirtualClock()) as ledger:
+        ledger.begin_run(software_version="x", config_hash="x")
+        pages = ledger._connection.execute("PRAGMA page_count").fetchone()[0]
+        ledger._connection.execute(f"PRAGMA max_page_count = {pages}")
+        written = 0
+
+        def fill() -> None:
+            nonlocal written
+            while written < 10_000:
+                ledger.note("filler", 0.0, text="x" * 400)
+                written += 1
+
+        with pytest.raises(LedgerError, match=r"full.*free some space"):
+            fill()
+        ledger._connection.execute("PRAGMA max_page_count = 1000000")
+        ledger.note("after", 1.0)
+        assert ledger.verify() == ()
+    with sqlite3.connect(tmp_path / "ledger.db") as connection:
+        kinds = [kind for (kind,) in connection.execute("SELECT kind FROM events ORDER BY rowid")]
+    assert kinds == ["filler"] * written + ["after"]
