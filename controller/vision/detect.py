@@ -18,6 +18,7 @@ from controller.vision.morphology import Component
 from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
 from controller.vision.scene import Found
+from controller.vision.shapes import rotated
 from controller.vision.stages import classified, margin, run_stages
 from controller.vision.timing import Stopwatch
 
@@ -104,8 +105,8 @@ def _detection(frame: Frame, found: Found) -> Detection:
     if found.diameter is not None:
         size = (found.diameter, found.diameter)
         covered *= _circle_area_factor(len(outline))
-    perimeter = float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
-    sides = np.linalg.norm(np.roll(face, -1, axis=0) - face, axis=1)
+    perimeter = float(np.linalg.norm(rotated(outline) - outline, axis=1).sum())
+    sides = np.linalg.norm(rotated(face) - face, axis=1)
     box = high - low
     difference = 0.0 if found.shape is Shape.CIRCLE else float(abs(sides[0] - sides[1]))
     return Detection(
@@ -160,7 +161,7 @@ def _component(
 def counter_clockwise(outline: Floats) -> Floats:
     """The outline's points in counter-clockwise order as displayed (y down)."""
     x, y = outline[:, 0], outline[:, 1]
-    doubled = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    doubled = float(np.sum(x * rotated(y) - rotated(x) * y))
     return np.ascontiguousarray(outline[::-1] if doubled > 0.0 else outline)
 
 
@@ -168,7 +169,7 @@ def dense(outline: Floats, least: int = 32) -> Floats:
     """The outline with every side cut into equal pieces, corners kept, at least `least` points in all."""
     if len(outline) >= least:
         return outline
-    side = np.roll(outline, -1, axis=0) - outline
+    side = rotated(outline) - outline
     length = np.linalg.norm(side, axis=1)
     pieces = np.maximum(np.ceil(least * length / max(float(length.sum()), 1e-9)), 1).astype(int)
     parts = [a + s * (np.arange(n) / n)[:, None] for a, s, n in zip(outline, side, pieces, strict=True)]
@@ -178,7 +179,7 @@ def dense(outline: Floats, least: int = 32) -> Floats:
 def polygon_area(outline: Floats) -> float:
     """Area of a simple polygon of shape (N, 2)."""
     x, y = outline[:, 0], outline[:, 1]
-    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    return 0.5 * abs(float(np.sum(x * rotated(y) - rotated(x) * y)))
 
 
 def _circle_area_factor(corners: int) -> float:
@@ -195,7 +196,7 @@ def direction(shape: Shape, outline: Floats) -> float | None:
     if shape is Shape.OTHER:
         (_, (w, h), turn) = cv2.minAreaRect(outline.astype(np.float32))
         return wrap(-math.radians(turn + (0.0 if w >= h else 90.0)), period)
-    sides = np.roll(outline, -1, axis=0) - outline
+    sides = rotated(outline) - outline
     lengths = np.linalg.norm(sides, axis=1)
     angles = np.arctan2(-sides[:, 1], sides[:, 0])
     if shape is Shape.RECTANGLE:

@@ -30,6 +30,7 @@ _ROUGH = (0, 1, 2)
 """Steps after which the families that do not suit a region are plain."""
 _FINE = (3, 4, 5)
 """Steps that bring the others to the end."""
+_SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +122,7 @@ def _starts(hull: Floats) -> dict[Shape, Floats]:
     # The sixth harmonic of the support function points at the sides' normals.
     reach = (hull - center) @ DIRECTIONS.T
     support = reach.max(axis=0)
-    turns = np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0])
-    phase = np.angle(np.sum(support * np.exp(6j * turns)))
+    phase = np.angle(support @ _SIXTH)
     hexagon = np.array([*center, math.sqrt(covered / (2.0 * math.sqrt(3.0))), phase / 6.0 + math.pi / 6.0])
     # Three far corners of the hull: the farthest from the centre, from that, and from the line between both.
     first = hull[np.argmax(np.sum((hull - center) ** 2, axis=1))]

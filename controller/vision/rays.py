@@ -19,7 +19,7 @@ CHOICES = 3
 def radial_profile(contour: Floats32, center: Floats) -> Floats:
     """Radius (RAYS,) of the contour's hull seen from a point inside, at equal angles."""
     hull = cv2.convexHull(contour)[:, 0].astype(np.float64) - center
-    nxt = np.roll(hull, -1, axis=0)
+    nxt = np.concatenate([hull[1:], hull[:1]])
     edge = nxt - hull
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     reach = np.sum(normal * hull, axis=1)

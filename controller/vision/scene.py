@@ -17,6 +17,7 @@ from controller.vision.local_map import LocalMaps
 from controller.vision.proposals import Region
 from controller.vision.recipe import Precise
 from controller.vision.refine import Refined
+from controller.vision.shapes import rotated
 
 Floats = NDArray[np.float64]
 
@@ -103,8 +104,8 @@ def whole(item: Judged) -> bool:
 
 def sampled(outline: Floats, count: int = 32) -> Floats:
     """`count` points at equal distances along a closed outline."""
-    side = np.roll(outline, -1, axis=0) - outline
-    length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+    side = rotated(outline) - outline
+    length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-9)
     ends = np.cumsum(length)
     at = (np.arange(count) + 0.5) / count * ends[-1]
     which = np.searchsorted(ends, at).clip(0, len(outline) - 1)

@@ -124,8 +124,8 @@ def _rival(item: Judged, other: Judged) -> bool:
 
 def _table_like(scene: Scene, item: Judged) -> bool:
     """Whether the rim inside an outline looks like the table: a patch of table between objects."""
-    strength = np.linalg.norm(scene.strengths(sampled(item.outline), 0.85), axis=1)
-    return float(np.median(strength)) < _TABLE
+    difference = scene.strengths(sampled(item.outline), 0.85)
+    return float(np.median(np.sqrt(np.vecdot(difference, difference)))) < _TABLE
 
 
 def _shadow_like(scene: Scene, item: Judged) -> bool:

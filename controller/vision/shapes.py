@@ -177,6 +177,11 @@ def area(family: Family, q: Floats) -> Floats:
     return np.asarray(np.abs(np.sum(q[:, 2:5] * opposite, axis=1) ** 2 / product))
 
 
+def rotated(values: Floats) -> Floats:
+    """The rows with the first moved to the end: what follows each along a closed outline."""
+    return np.concatenate([values[1:], values[:1]])
+
+
 def vertices(family: Family, q: Floats, circle_points: int = 72) -> Floats:
     """Corners (N, 2) of one outline, in the order of increasing normal direction; a circle is sampled."""
     if not len(family.normals):
@@ -185,7 +190,7 @@ def vertices(family: Family, q: Floats, circle_points: int = 72) -> Floats:
     turns = q[2 + family.sizes :][family.turn_of] + family.normals
     order = np.argsort(np.mod(turns, 2.0 * math.pi))
     turns, reach = turns[order], q[2 + family.size_of][order]
-    following, reach_2 = np.roll(turns, -1), np.roll(reach, -1)
+    following, reach_2 = rotated(turns), rotated(reach)
     det = np.sin(following - turns)
     det = np.where(np.abs(det) < 1e-6, 1e-6, det)
     x = (reach * np.sin(following) - reach_2 * np.sin(turns)) / det
