@@ -99,3 +99,15 @@ def test_the_ruler_pose_turns_by_degrees() -> None:
     turned = cell.table.model_copy(update={"yaw_deg": 90.0}).T_base_table()
     assert np.allclose(turned[:2, :2], [[0, -1], [1, 0]], atol=1e-12)
     assert math.isclose(turned[0, 3], 230.0)
+
+
+def test_a_rule_may_ask_for_a_colour_or_a_taught_class(tmp_path: Path) -> None:
+    text = SHIPPED.replace('shape = "square"\nbin = "squares"', 'shape = "square"\ncolour = "red"\nbin = "squares"')
+    cell = load(tmp_path, text.replace('shape = "circle"', 'label = "M8 nut"'))
+    assert cell.bin_for(Shape.SQUARE, "square", 40.0, "red") == "squares"
+    assert cell.bin_for(Shape.SQUARE, "square", 40.0, "blue") == "rejects"
+    assert cell.bin_for(Shape.SQUARE, "square", 40.0) == "rejects"
+    assert cell.bin_for(Shape.OTHER, "M8 nut", 40.0) == "circles"
+    assert cell.taught_labels == {"M8 nut"}
+    with pytest.raises(ConfigError, match="turquoise"):
+        load(tmp_path, text.replace('"red"', '"turquoise"'))

@@ -7,7 +7,7 @@ from controller.vision.classes.training import Examples, by_class, cross_validat
 
 
 def test_what_is_tested_was_not_learnt_from() -> None:
-    """Two classes that differ only by picture: whoever learns from the tested picture is right, an honest test fails."""
+    """Classes that differ only by picture: who learns from the tested picture is right, an honest test is not."""
     random = np.random.default_rng(0)
     pictures = tuple(f"{k}.png" for k in range(10) for _ in range(4))
     # Each picture has a place of its own in the features, and one label at random.
