@@ -20,7 +20,19 @@ from controller.cycle.machine import CellMachine, State
 from controller.cycle.rig import Look, Rig
 from controller.cycle.targets import Target, TargetBook
 from controller.cycle.view import MARGIN_MM, region_mask
-from controller.domain import Bin, Frame, Grasp, LocatedObject, MoveReport, Outcome, PickPlan, Point, Result, Trajectory
+from controller.domain import (
+    Bin,
+    Frame,
+    Grasp,
+    LocatedObject,
+    MoveReport,
+    Outcome,
+    PickPlan,
+    Point,
+    Result,
+    Shape,
+    Trajectory,
+)
 from controller.errors import ArmError, CameraEnded, CameraError, LedgerError, PartHeld, PlanError, SorterError
 from controller.localization.locate import locate
 from controller.vision.detect import Detected, detect
@@ -319,7 +331,11 @@ class Sorter:
     # --- choosing -------------------------------------------------------------------------------------
 
     def _candidates(self, located: list[LocatedObject]) -> list[LocatedObject]:
-        """What may be picked now, the surest first: old acquaintances last, then by confidence."""
+        """What may be picked now, the surest first: old acquaintances last, then by confidence.
+
+        What has no name comes after all that has one: two parts that touch may look like one of no known shape,
+        until the other is gone.
+        """
         config = self.rig.config
         tried = {target.target_id: target.attempts for target in self._book.open}
         wanted = [
@@ -331,7 +347,11 @@ class Sorter:
             and config.in_work_area(thing.center, self.rig.calibration.T_base_table)
             and self._bin_for(thing) is not None
         ]
-        return sorted(wanted, key=lambda thing: (tried.get(thing.target_id, 0), -thing.detection.score))
+
+        def rank(thing: LocatedObject) -> tuple[int, bool, float]:
+            return tried.get(thing.target_id, 0), thing.shape is Shape.OTHER, -thing.detection.score
+
+        return sorted(wanted, key=rank)
 
     def _bin_for(self, thing: LocatedObject) -> Bin | None:
         name = self.rig.config.bin_for(

@@ -179,6 +179,11 @@ class Trial(Observer):
         then = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
         return None if then is None else next(part for part in final if part.part_id == then.part_id)
 
+    def _belongs_there(self, outcome: Outcome, part: TruePart | None) -> bool:
+        """Whether the rules want a part in the bin it was taken to."""
+        right = right_bin(self.config, part) if part is not None else None
+        return outcome.plan is not None and outcome.plan.bin.name == right
+
     def _verdict(self, outcome: Outcome, part: TruePart | None) -> str:
         if outcome.result is not Result.PLACED:
             return str(outcome.result)
@@ -195,8 +200,9 @@ class Trial(Observer):
             if a.failed
         ]
         for outcome in self._outcomes:
-            verdict = self._verdict(outcome, self._part_of(outcome, final))
-            if verdict in ("correct", str(Result.REJECTED)):
+            part = self._part_of(outcome, final)
+            verdict = self._verdict(outcome, part)
+            if verdict == "correct" or (outcome.result is Result.REJECTED and self._belongs_there(outcome, part)):
                 continue
             frame = outcome.target.detection.frame
             look = next((i for i, look in enumerate(self._looks) if look.frame is frame), len(self._looks) - 1)

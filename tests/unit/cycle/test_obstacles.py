@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from controller.domain import MoveReport, Result, Trajectory
+from controller.domain import MoveReport, Result, Shape, Trajectory
 from controller.localization.locate import Located
 from sim_backends.recording_arm import RecordingArm
 from tests.unit.cycle.bench import Bench, part
@@ -49,3 +49,10 @@ def test_jaws_that_meet_something_on_the_way_down_do_not_close(
         narrowest = min(float(str(c["opening_mm"])) for c in bench.arm.commands if c["command"] == "grip")
         width = bench.outcomes[0].plan.grasp.width if bench.outcomes[0].plan else 0.0
         assert narrowest > width
+
+
+def test_what_has_no_name_waits_until_the_others_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part that looks like no known shape may only be touched by a neighbour."""
+    bench = Bench(monkeypatch, part(0, 0, Shape.OTHER, score=1.0), part(0, 90, Shape.SQUARE, score=0.6))
+    bench.run()
+    assert [outcome.target.shape for outcome in bench.outcomes] == [Shape.SQUARE, Shape.OTHER]
