@@ -211,7 +211,9 @@ class FaultDirector:
             for part in world.held:
                 world.lay_back(part)
         elif name == "grasp_missed":
-            world.take_away(world.nearest_to_tool())
+            nearest = world.nearest_to_tool()
+            if nearest is not None:
+                world.take_away(nearest)
         elif name == "ledger_unwritable":
             self.ledger_unwritable = True
             self._at(end, lambda: setattr(self, "ledger_unwritable", False))

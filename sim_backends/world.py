@@ -41,6 +41,8 @@ _REMEMBER_EVERY = 50
 _FLANK_TORQUE = 0.04
 # Friction that no servo overcomes, Nm: 20 times the stall torque of the strongest.
 _BLOCKED = 200.0
+# A part this near to where it was laid has at most been pushed, mm: bins are further away.
+_PUSHED = 40.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,10 +292,13 @@ class World:
         self._carry_off(index)
         self._settled()
 
-    def nearest_to_tool(self) -> int:
-        """Index of the part whose centre is nearest to the grasp point."""
-        apart = self.part_poses()[:, :3] - self.tool_pose()[:3, 3]
-        return int(np.linalg.norm(apart, axis=1).argmin())
+    def nearest_to_tool(self) -> int | None:
+        """Index of the part nearest to the grasp point among those that lie about where they were laid, if any."""
+        poses = self.part_poses()[:, :3]
+        laid = np.array([(part.x, part.y) for part in self.parts]).reshape(-1, 2)
+        there = np.linalg.norm(poses[:, :2] - laid, axis=1) < _PUSHED
+        apart = np.where(there, np.linalg.norm(poses - self.tool_pose()[:3, 3], axis=1), np.inf)
+        return int(apart.argmin()) if there.any() else None
 
     def block(self, servo_id: int, blocked: bool) -> None:
         """Hold one shaft as if something solid stood in its way, or let it go again."""

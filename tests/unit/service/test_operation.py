@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from controller.cycle.machine import State
 from controller.cycle.sorter import Sorter
-from controller.errors import SafetyStop, SorterError
+from controller.errors import CameraLost, LedgerError, SafetyStop, SorterError
 from controller.service.controls import Controls, Refused
 from controller.service.operation import CellFacts, Operation, Work
 from controller.service.packml import PackML
@@ -130,6 +130,29 @@ def test_nothing_starts_before_everything_is_ready() -> None:
     assert str(operation.status().packml) == "RESETTING"
     with pytest.raises(Refused, match="RESETTING"):
         operation.start()
+
+
+def test_what_the_cell_holds_for_is_an_alarm_until_it_is_over(cell: Cell) -> None:
+    cell.start()
+    operation = cell.operation
+    with pytest.raises(Refused):
+        operation.resume()
+    operation.entered(State.HELD, 2.0)
+    operation.held(CameraLost("/dev/video0", "capture", "unplugged"), 2.0)
+    (alarm,) = operation.alarms()
+    assert (alarm.code, alarm.active) == ("camera_lost", True)
+    assert alarm.remedy == "plug it in again"  # the catalogue's, where the failure has no words of its own
+    assert "unplugged" in operation.status().reason
+    operation.held(LedgerError("disk full"), 3.0)
+    assert [(alarm.code, alarm.active) for alarm in operation.alarms()] == [
+        ("camera_lost", False),
+        ("ledger_unwritable", True),
+    ]
+    operation.resume()
+    operation.resumed(4.0)
+    assert not any(alarm.active for alarm in operation.alarms())
+    operation.stop()
+    cell.rested()
 
 
 def test_a_start_a_pause_a_resume_and_a_stop(cell: Cell) -> None:
