@@ -127,5 +127,6 @@ def _plate(arm: ArmDescription, body: str, marker: MarkerMount, T_tool_marker: A
     place = flat.vertices @ T_tool_marker[:3, :3].T + T_tool_marker[:3, 3] + tool
     plate = Solid(body, place, flat.faces, flat.colour, flat.split, flat.decal)
     x, _, z = tool + np.asarray(marker.position)
-    bracket = box((x - 6, -8, 14), (x + 3.5, 8, z - half + 3.0), body=body, colour=BLACK)
+    # Behind the plate, however it is mounted: a dark bracket over the white margin would hide the marker.
+    bracket = box((x + 1.5, -8, 14), (x + 11.0, 8, z - half + 3.0), body=body, colour=BLACK)
     return [bracket, plate]
