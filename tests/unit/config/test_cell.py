@@ -103,7 +103,7 @@ def test_the_ruler_pose_turns_by_degrees() -> None:
 
 def test_a_rule_may_ask_for_a_colour_or_a_taught_class(tmp_path: Path) -> None:
     text = SHIPPED.replace('shape = "square"\nbin = "squares"', 'shape = "square"\ncolour = "red"\nbin = "squares"')
-    cell = load(tmp_path, text.replace('shape = "circle"', 'label = "M8 nut"'))
+    cell = load(tmp_path, text.replace('shape = "circle"\nbin', 'label = "M8 nut"\nbin'))
     assert cell.bin_for(Shape.SQUARE, "square", 40.0, "red") == "squares"
     assert cell.bin_for(Shape.SQUARE, "square", 40.0, "blue") == "rejects"
     assert cell.bin_for(Shape.SQUARE, "square", 40.0) == "rejects"
