@@ -36,7 +36,7 @@ def touch_map(found: Certificate, outline: Array, made_at: str) -> Image:
     height = max(height, 400)
 
     def at(points: Array) -> Array:
-        return _BORDER + (high - points)[:, ::-1] * _SCALE
+        return np.asarray(_BORDER + (high - points)[:, ::-1] * _SCALE)
 
     picture = np.full((height, width + _PANEL, 3), 255, np.uint8)
     inside = np.zeros((height, width), np.uint8)
