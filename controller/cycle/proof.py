@@ -24,7 +24,7 @@ RELEASE_MM = 2.0
 ASTRAY_RAD = 0.05
 """A joint that ends an approach further from its goal stands on something; a driver would refuse to carry from there.
 
-Source: 200 free approaches of the simulated arm, its sag and friction included, end within 1.1 deg (0.02 rad), those
+Source: 31 free approaches of the simulated arm, its sag and friction included, ended within 1.6 deg (0.03 rad), those
 whose jaws came down on a part 3.5 deg and more from their goal.
 """
 
