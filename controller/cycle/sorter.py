@@ -18,17 +18,16 @@ from controller.cycle import proof
 from controller.cycle.holding import RELEASES, SLICE, Hold
 from controller.cycle.machine import CellMachine, State
 from controller.cycle.rig import Look, Rig
+from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
 from controller.cycle.view import MARGIN_MM, region_mask
 from controller.domain import (
-    Bin,
     Frame,
     Grasp,
     LocatedObject,
     MoveReport,
     Outcome,
     PickPlan,
-    Point,
     Result,
     Shape,
     Trajectory,
@@ -36,17 +35,6 @@ from controller.domain import (
 from controller.errors import ArmError, CameraEnded, CameraError, LedgerError, PartHeld, PlanError, SorterError
 from controller.localization.locate import locate
 from controller.vision.detect import Detected, detect
-
-_DROP_SPREAD = 0.18
-"""Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
-
-
-_ASKEW_MM = 45.0
-"""A part that fell into a bin may lean on a wall or stand on an edge: the highest of the usual ones reach this high."""
-
-_LAYER_MM = 8.0
-"""What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
-
 
 _FALL_MM = 8.0
 """The planner lets a part fall this far: what lies below the jaws when they have opened is that much lower."""
@@ -90,7 +78,7 @@ class Sorter:
         self._until_empty = until_empty
         self._most_parts = most_parts
         self._book = TargetBook(target_prefix)
-        self._filled: Counter[str] = Counter() if filled is None else filled
+        self._stock = Stock(rig.config, Counter() if filled is None else filled)
         self._energised = False
         self._concluded = 0
         self._stop = threading.Event()
@@ -283,7 +271,7 @@ class Sorter:
                 self._conclude(target, Result.DROPPED, dropped)
         else:
             self.left -= 1
-            self._filled[plan.bin.name] += 1
+            self._stock.placed(plan.bin)
             rejected = plan.bin.name == self.rig.config.sorting.otherwise
             self._conclude(target, Result.REJECTED if rejected else Result.PLACED, f"in {plan.bin.name}")
         self.cycle_times.append(self.rig.clock.now() - self._cycle_started)
@@ -345,7 +333,7 @@ class Sorter:
             and "cut_by_border" not in thing.detection.flags
             and not self._book.is_given_up(thing)
             and config.in_work_area(thing.center, self.rig.calibration.T_base_table)
-            and self._bin_for(thing) is not None
+            and self._stock.bin_for(thing) is not None
         ]
 
         def rank(thing: LocatedObject) -> tuple[int, bool, float]:
@@ -353,39 +341,20 @@ class Sorter:
 
         return sorted(wanted, key=rank)
 
-    def _bin_for(self, thing: LocatedObject) -> Bin | None:
-        name = self.rig.config.bin_for(
-            thing.shape, thing.detection.label, thing.size[0], thing.detection.colour
-        )
-        for bin_ in self.rig.config.bin_values():
-            if bin_.name == name and self._filled[name] < bin_.capacity:
-                return bin_
-        return None
-
-    def _drop_point(self, bin_: Bin) -> Point:
-        corner = self._filled[bin_.name] % 4
-        dx, dy = ((-1, -1), (1, 1), (1, -1), (-1, 1))[corner]
-        return bin_.center[0] + dx * _DROP_SPREAD * bin_.size[0], bin_.center[1] + dy * _DROP_SPREAD * bin_.size[1]
-
-    def _pile(self, bin_: Bin) -> float:
-        """Height over the table that what lies in a bin already may reach, mm."""
-        count = self._filled[bin_.name]
-        return 0.0 if count == 0 else _ASKEW_MM + _LAYER_MM * (count - 1)
-
     def _plan_next(self) -> tuple[Target, PickPlan] | None:
         """The first candidate that a safe plan exists for."""
         start = self.rig.arm.state().positions
         while self._queue:
             thing = self._queue.pop(0)
-            bin_ = self._bin_for(thing)
+            bin_ = self._stock.bin_for(thing)
             if bin_ is None:
                 continue
             others = tuple(other for other in self._others if other.detection is not thing.detection)
             self.rig.clock.charge(self.rig.config.cycle.planning_budget_s)
             try:
                 plan = self.rig.planner.plan_pick(
-                    thing, others, bin_, self._drop_point(bin_), start,
-                    pile=self._pile(bin_), view=self._view, climb=self._climb,
+                    thing, others, bin_, self._stock.drop_point(bin_), start,
+                    pile=self._stock.pile(bin_), view=self._view, climb=self._climb,
                 )  # fmt: skip
             except PlanError as error:
                 self.rig.ledger.note("unplannable", self.rig.clock.now(), center=thing.center, reason=str(error))

@@ -1,0 +1,53 @@
+"""What lies in the bins: which of them has room for a part, where in it to let go, and how high it may be filled."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from controller.config.cell import CellConfig
+from controller.domain import Bin, LocatedObject, Point
+
+DROP_SPREAD = 0.18
+"""Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
+
+ASKEW_MM = 45.0
+"""A part that fell into a bin may lean on a wall or stand on an edge: the highest of the usual ones reach this high."""
+
+LAYER_MM = 8.0
+"""What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
+
+
+class Stock:
+    """Counts the parts in the bins.
+
+    Args:
+        config: Bins and rules.
+        filled: Parts in each bin already, by name; counted up as they are placed.
+    """
+
+    def __init__(self, config: CellConfig, filled: Counter[str]) -> None:
+        self._config = config
+        self._filled = filled
+
+    def bin_for(self, thing: LocatedObject) -> Bin | None:
+        """The bin an object belongs in, or None when it is to lie or its bin is full."""
+        name = self._config.bin_for(thing.shape, thing.detection.label, thing.size[0], thing.detection.colour)
+        for bin_ in self._config.bin_values():
+            if bin_.name == name and self._filled[name] < bin_.capacity:
+                return bin_
+        return None
+
+    def drop_point(self, bin_: Bin) -> Point:
+        """Where in a bin the next part is let go, (x, y) in `table`, mm."""
+        corner = self._filled[bin_.name] % 4
+        dx, dy = ((-1, -1), (1, 1), (1, -1), (-1, 1))[corner]
+        return bin_.center[0] + dx * DROP_SPREAD * bin_.size[0], bin_.center[1] + dy * DROP_SPREAD * bin_.size[1]
+
+    def pile(self, bin_: Bin) -> float:
+        """Height over the table that what lies in a bin already may reach, mm."""
+        count = self._filled[bin_.name]
+        return 0.0 if count == 0 else ASKEW_MM + LAYER_MM * (count - 1)
+
+    def placed(self, bin_: Bin) -> None:
+        """One more part lies in a bin."""
+        self._filled[bin_.name] += 1
