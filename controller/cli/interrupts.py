@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 
@@ -18,8 +18,10 @@ def on_interrupt(stop: Callable[[], None], message: str) -> Iterator[list[int]]:
         received.append(number)
         if len(received) > 1:
             raise KeyboardInterrupt
-        print(f"\n{message}", file=sys.stderr)
         stop()
+        # The handler may have interrupted a print: only the bare descriptor may be written to here.
+        with suppress(OSError):
+            os.write(2, f"\n{message}\n".encode())
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
