@@ -103,6 +103,7 @@ class CameraModel:
         points = np.asarray(pixels, np.float64).reshape(-1, 1, 2)
         # OpenCV's default of 5 fixed-point rounds leaves 0.1 px near the corners of a wide lens.
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-10)
+        # The stub has no None for R and P, which means identity.
         normalised = cv2.undistortPointsIter(points, self.matrix, self.distortion, None, None, criteria)  # type: ignore[call-overload]
         out = np.ones((len(points), 3))
         out[:, :2] = np.asarray(normalised).reshape(-1, 2)

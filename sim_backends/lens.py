@@ -51,5 +51,6 @@ class Lens:
         width, height = self.size
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
+        # The stub has no None for R and P, which means identity.
         undone = cv2.undistortPointsIter(grid.astype(np.float64), self.matrix, self.distortion, None, None, criteria)  # type: ignore[call-overload]
         return np.asarray(undone, np.float32).reshape(height, width, 2)

@@ -10,6 +10,7 @@ from typing import Any
 from controller.config.cell import CellConfig
 from controller.insight.charts import error_map, gantt, histogram, matrix
 from controller.insight.evaluation import cycle_durations, median_cycle
+from controller.insight.report import FATES
 from controller.insight.trial import Record
 
 STYLE = """
@@ -29,14 +30,7 @@ _NAMES = {
     "runs": "tables",
     "parts": "parts on them",
     "reachable": "of them within reach",
-    "sorted": "sorted, by the cell's own proof",
-    "correct": "in the right bin, by the world's truth",
-    "missorted": "in a wrong bin, by the world's truth",
-    "silent": "thought placed, but elsewhere",
-    "rejected": "put into the reject bin",
-    "left": "left on the table",
-    "dropped": "dropped on the way",
-    "indeterminate": "whereabouts unknown",
+    **FATES,
     "phantoms": "attempts at what was no part",
     "collisions": "touches of what should not be touched",
     "attempts": "attempts",

@@ -21,9 +21,7 @@ td:last-child{font-variant-numeric:tabular-nums}figure{margin:1.5rem 0}img{width
 .good{color:#0a7d33}.bad{color:#b3261e}
 """
 
-_NAMES = {
-    "parts": "parts on the table",
-    "reachable": "of them within reach",
+FATES = {
     "sorted": "sorted, by the cell's own proof",
     "correct": "in the right bin, by the world's truth",
     "missorted": "in a wrong bin, by the world's truth",
@@ -32,6 +30,13 @@ _NAMES = {
     "left": "left on the table",
     "dropped": "dropped on the way",
     "indeterminate": "whereabouts unknown",
+}
+"""What became of the parts, in words: the counts that every report begins with."""
+
+_NAMES = {
+    "parts": "parts on the table",
+    "reachable": "of them within reach",
+    **FATES,
     "collisions": "touches of what should not be touched",
     "attempts": "attempts",
     "first_try": "sorted at the first attempt",

@@ -13,7 +13,7 @@ from controller.errors import InstanceBusy, LedgerError
 try:
     import fcntl
 except ImportError:  # no advisory locks on this system: the servo port's own exclusive lock remains
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # a module where it exists
 
 
 class InstanceLock:
