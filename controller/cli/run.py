@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
 from controller.backends import Level, Mode
@@ -26,7 +28,10 @@ from controller.domain import PickPlan
 from controller.errors import ConfigError
 from controller.insight.film import Film
 from controller.insight.report import rows
+from controller.service.journal import CycleLog, goes_to_journal, logging_to_its_place
 from controller.service.session import RunOptions, Session
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -78,7 +83,11 @@ def run(
     taught = taught_file(bins, sim=mode is not Mode.REAL)
     if taught is not None:
         cell = with_taught(cell, taught)
-    progress = Progress(stderr())
+    # The journal gets records with fields; a person gets the progress, and log lines only for what is beside it.
+    structured = goes_to_journal()
+    cycle_log = CycleLog(aloud=structured)
+    progress = Progress(Console(quiet=True) if structured else stderr())
+    say = _log.info if structured else progress.say
     film = Film(video) if video is not None else None
     session = Session(
         RunOptions(
@@ -94,14 +103,14 @@ def run(
             start=start,
             rehearsal=rehearsal,
             faults=faults,
-            observers=(progress, *([_Intentions(progress.say)] if dry_run else [])),
+            observers=(cycle_log, progress, *([_Intentions(say)] if dry_run else [])),
             watch=film.watch if film is not None else lambda devices: (),
             confirm=_ask if step else lambda plan: True,
-            say=progress.say,
+            say=say,
         )
     )
     stopping = on_interrupt(session.stop, "stopping: the arm parks; once more gives up waiting")
-    with stopping as received, progress, film or nullcontext():
+    with logging_to_its_place(cycle_log), stopping as received, progress, film or nullcontext():
         figures = session.run()
     if figures:
         if as_json:

@@ -176,6 +176,14 @@ class CycleSection(StrictModel):
     planning_budget_s: float = Field(0.02, ge=0.0, le=5.0)
 
 
+class LedgerSection(StrictModel):
+    """How long the record keeps single parts and events; their counts by day stay for ever."""
+
+    keep_days: int = Field(400, ge=1, le=36_500)
+    most_mb: int = Field(256, ge=1, le=1_000_000)
+    """Room for single records; beyond it the oldest days go first."""
+
+
 class CellConfig(StrictModel):
     """A whole cell."""
 
@@ -191,6 +199,7 @@ class CellConfig(StrictModel):
     bins: tuple[BinSection, ...] = Field(min_length=1)
     sorting: SortingSection
     cycle: CycleSection = CycleSection()
+    ledger: LedgerSection = LedgerSection()
 
     @model_validator(mode="after")
     def _consistent(self) -> CellConfig:

@@ -454,7 +454,6 @@ class Sorter:
         self._held.failed(error, now)
         self._go_on.clear()
         if not known:
-            self._try_note("held", reason=str(error), code=type(error).__name__)
             for observer in self.rig.observers:
                 observer.held(error, now)
         if self._until_empty and self._held.too_long:
@@ -473,7 +472,6 @@ class Sorter:
         if self.fault is None:
             self.fault = error
             self._settle(f"fault: {error}")
-            self._try_note("fault", reason=str(error), code=type(error).__name__)
             for observer in self.rig.observers:
                 observer.faulted(error, self.rig.clock.now())
             if not isinstance(error, ArmError):

@@ -13,7 +13,8 @@ import struct
 import sys
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
@@ -30,10 +31,11 @@ FAULT_ID = "5b0d6ac3f2a84e2f9d0a4c1b7e93d815"
 OUTCOME_ID = "c1f4a7e09b3d4d5c8a62e7f05d1b9326"
 STATE_ID = "8e2f6d41a0c7433bb5d9134f7a60ce58"
 
+_OWN = ("controller", "drivers", "sim_backends")
 _FIELDS = ("state", "cycle_id", "fault_code", "message_id")
 _LONGEST = 48_000  # bytes of a value: a datagram must fit into the socket's send buffer, 208 KiB by default
 _SEND_TIMEOUT = 0.2  # s; a journal that is stuck must not hold up the cell
-_log = logging.getLogger("controller.cycle")
+_SILENT = logging.Logger("silent", logging.CRITICAL + 1)
 
 
 class JournalHandler(logging.Handler):
@@ -129,10 +131,14 @@ class CycleLog(Observer, logging.Filter):
     """Logs what the cell does, and stamps every other record with the state and the part it was at work on.
 
     As an observer it listens to the cycle; as a filter on a handler it stamps.
+
+    Args:
+        aloud: Logs what the cell does; without, it only stamps, because something else tells people.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, aloud: bool = True) -> None:
         logging.Filter.__init__(self)
+        self._log = logging.getLogger("controller.cycle") if aloud else _SILENT
         self._state = ""
         self._cycle_id = ""
 
@@ -147,17 +153,17 @@ class CycleLog(Observer, logging.Filter):
         """Note the state; changes that matter to people are logged above debug level."""
         before, self._state = self._state, state.value
         level = logging.INFO if state in (State.STOPPED, State.HELD, State.FAULT) else logging.DEBUG
-        _log.log(level, "%s after %s", state.value, before or "start", extra={"message_id": STATE_ID})
+        self._log.log(level, "%s after %s", state.value, before or "start", extra={"message_id": STATE_ID})
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """Note the part."""
         self._cycle_id = plan.target.target_id
-        _log.debug("attempt %d at a %s for %s", attempt, plan.target.detection.label, plan.bin.name)
+        self._log.debug("attempt %d at a %s for %s", attempt, plan.target.detection.label, plan.bin.name)
 
     def concluded(self, outcome: Outcome) -> None:
         """Log what became of a part."""
         level = logging.INFO if outcome.result in (Result.PLACED, Result.REJECTED) else logging.WARNING
-        _log.log(
+        self._log.log(
             level,
             "%s: %s: %s",
             outcome.target.detection.label,
@@ -169,56 +175,66 @@ class CycleLog(Observer, logging.Filter):
 
     def held(self, cause: SorterError, at: float) -> None:
         """Log what holds the cell."""
-        _log.warning("held: %s", cause, extra={"message_id": FAULT_ID, "fault_code": fault_code(cause)})
+        self._log.warning("held: %s", cause, extra={"message_id": FAULT_ID, "fault_code": fault_code(cause)})
 
     def resumed(self, at: float) -> None:
         """Log that it is over."""
-        _log.info("what the cell held for is over")
+        self._log.info("what the cell held for is over")
 
     def faulted(self, error: SorterError, at: float) -> None:
         """Log the fault that has latched."""
-        _log.error("%s", error, extra={"message_id": FAULT_ID, "fault_code": fault_code(error)})
+        self._log.error("%s", error, extra={"message_id": FAULT_ID, "fault_code": fault_code(error)})
 
 
-def set_up_logging(
+@contextmanager
+def logging_to_its_place(
     *filters: logging.Filter,
     level: int = logging.INFO,
     stream: TextIO | None = None,
     environment: Mapping[str, str] | None = None,
     journal: Path = JOURNAL,
-) -> logging.Handler:
-    """Send the program's log where it belongs.
+) -> Iterator[None]:
+    """Send the program's log where it belongs, as long as the context lasts.
 
     Args:
         filters: Put on the handler before the rate limit, e.g. a `CycleLog`.
-        level: Lowest level that is logged.
+        level: Lowest level of the program's own records.
         stream: For readable lines, when it is not the journal; stderr by default.
         environment: In place of the process's.
         journal: The journal's socket.
-
-    Returns:
-        The handler, for `logging.getLogger().removeHandler`.
     """
     stream = stream or sys.stderr
     lines = logging.StreamHandler(stream)
     lines.setFormatter(Lines())
-    to_journal = _is_journal(stream, os.environ if environment is None else environment)
+    to_journal = goes_to_journal(stream, environment)
     handler: logging.Handler = JournalHandler(journal, lines) if to_journal else lines
     for filter_ in (*filters, RateLimit()):
         handler.addFilter(filter_)
-    root = logging.getLogger()
-    root.addHandler(handler)
-    root.setLevel(level)
-    return handler
-
-
-def _is_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
-    """Whether what is written to `stream` ends in the journal anyway. Source: systemd.exec(5), $JOURNAL_STREAM."""
+    # Libraries are heard from warnings on: one logs every transition of the cycle.
+    levels = {logging.getLogger(): logging.WARNING} | {logging.getLogger(name): level for name in _OWN}
+    before = {logger: logger.level for logger in levels}
+    logging.getLogger().addHandler(handler)
     try:
-        found = os.fstat(stream.fileno())
+        for logger, least in levels.items():
+            logger.setLevel(least)
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
+        for logger, least in before.items():
+            logger.setLevel(least)
+
+
+def goes_to_journal(stream: TextIO | None = None, environment: Mapping[str, str] | None = None) -> bool:
+    """Whether what is written to `stream` (stderr by default) ends in the journal anyway.
+
+    Source: systemd.exec(5), $JOURNAL_STREAM.
+    """
+    try:
+        found = os.fstat((stream or sys.stderr).fileno())
     except (OSError, ValueError, AttributeError):
         return False
-    return environment.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
+    wanted = (os.environ if environment is None else environment).get("JOURNAL_STREAM")
+    return wanted == f"{found.st_dev}:{found.st_ino}"
 
 
 def _field(name: str, value: str) -> bytes:

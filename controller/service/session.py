@@ -13,7 +13,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -36,6 +36,7 @@ from controller.insight.report import annotated, page, side_by_side
 from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
 from controller.motion.planner import Planner
+from controller.service.chronicle import Chronicle, Housekeeper, tell_what_was_found
 from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
@@ -134,16 +135,18 @@ class Session:
             statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
             faults = FaultRecord()
             watchers = self.options.watch(devices)
+            record = ledger if devices.script is None else LedgerWithFailpoints(ledger, devices.script)
+            own = (statistics, faults, Chronicle(record, devices.clock), album)
             rig = Rig(
                 self._config,
                 devices.camera,
                 devices.arm,
                 devices.clock,
-                ledger if devices.script is None else LedgerWithFailpoints(ledger, devices.script),
+                record,
                 calibration,
                 recipe,
                 self._planner(self._as_identified(arm), calibration),
-                observers=(*devices.observers, statistics, faults, album, *self.options.observers, *watchers),
+                observers=(*devices.observers, *own, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
                 classes=taught,
             )
@@ -191,11 +194,14 @@ class Session:
         self._end = operation.end
         if self._stop.is_set():
             operation.end()
-        rig = replace(rig, observers=(*rig.observers, operation))
+        keep = timedelta(days=self._config.ledger.keep_days)
+        housekeeper = Housekeeper(ledger, rig.clock, keep, self._config.ledger.most_mb << 20)
+        rig = replace(rig, observers=(*rig.observers, operation, housekeeper))
         sorter: Sorter | None = None
         filled: Counter[str] = Counter()
         starts = itertools.count(1)
         with service.open_to_operators(operation):
+            tell_what_was_found(ledger, operation.alarm_log)
             operation.ready(fault=_safe_mode(ledger), may_hold_part=bool(ledger.indeterminate))
             service.notifier.ready("STOPPED: controller start begins to sort")
             if self.options.start:

@@ -14,7 +14,7 @@ import pytest
 
 from controller.cycle.machine import State
 from controller.errors import CameraLost
-from controller.service.journal import FAULT_ID, CycleLog, JournalHandler, Lines, RateLimit, set_up_logging
+from controller.service.journal import FAULT_ID, CycleLog, JournalHandler, Lines, RateLimit, logging_to_its_place
 
 
 @pytest.fixture
@@ -176,15 +176,32 @@ def test_a_fault_is_logged_with_its_code(
     assert entry["MESSAGE"] == "/dev/video0: read: unplugged: plug it in"
 
 
+def test_a_log_that_only_stamps_says_nothing_itself(
+    logger: logging.Logger, caplog: pytest.LogCaptureFixture
+) -> None:
+    cycle = CycleLog(aloud=False)
+    handler, stream = _fallback()
+    handler.addFilter(cycle)
+    logger.addHandler(handler)
+    with caplog.at_level(logging.DEBUG):
+        cycle.entered(State.FAULT, 1.0)
+        cycle.faulted(CameraLost("/dev/video0", "read", "unplugged"), 1.0)
+        assert caplog.records == []
+    logger.info("from elsewhere")
+    assert stream.getvalue().endswith("from elsewhere [state=FAULT]\n")
+
+
 def test_the_journal_is_used_only_when_stderr_goes_there(tmp_path: Path) -> None:
-    level = logging.getLogger().level
+    root = logging.getLogger()
+    before = (root.level, list(root.handlers))
     with (tmp_path / "stderr").open("w") as stream:
         found = os.fstat(stream.fileno())
         to_journal = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino}"}
         kinds = []
         for environment in (to_journal, {"JOURNAL_STREAM": "1:2"}, {}):
-            handler = set_up_logging(stream=stream, environment=environment)
-            logging.getLogger().removeHandler(handler)
-            logging.getLogger().setLevel(level)
-            kinds.append(type(handler))
+            with logging_to_its_place(stream=stream, environment=environment):
+                kinds.append(type(root.handlers[-1]))
+                assert logging.getLogger("controller.service").isEnabledFor(logging.INFO)
+                assert not logging.getLogger("transitions.core").isEnabledFor(logging.INFO)
     assert kinds == [JournalHandler, logging.StreamHandler, logging.StreamHandler]
+    assert (root.level, root.handlers) == before
