@@ -24,6 +24,7 @@ ROOMS = {
     "evaluate": "evaluate",
     "config": "config",
     "doctor": "doctor",
+    "ledger": "ledger",
     "status": "control",
     "start": "control",
     "pause": "control",

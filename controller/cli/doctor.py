@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,7 @@ from controller.service import unit
 from controller.service.doctor.case import Case
 from controller.service.doctor.examine import examine, worst
 from controller.service.doctor.finding import Finding, Level
-from controller.service.folders import state_folder
+from controller.service.folders import folder_of_the_cell
 
 _STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
 
@@ -39,19 +38,13 @@ def doctor(
     """
     if config is None and unit.CONFIG.is_file():
         config = unit.CONFIG
-    findings = examine(Case(state or _state_folder(), config))
+    findings = examine(Case(state or folder_of_the_cell(), config))
     verdict = worst(findings)
     if as_json:
         print(json.dumps({"verdict": str(verdict), "checks": [finding.to_json() for finding in findings]}))
     else:
         _table(findings, verdict)
     return 1 if verdict is Level.FAILED else 0
-
-
-def _state_folder() -> Path:
-    """The service's folder where a service is installed, else one's own."""
-    service = unit.STATE
-    return service if "STATE_DIRECTORY" not in os.environ and service.is_dir() else state_folder()
 
 
 def _table(findings: list[Finding], verdict: Level) -> None:

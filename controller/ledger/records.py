@@ -75,5 +75,6 @@ def plan_row(plan: PickPlan | None) -> Row:
         "grasp_direction_deg": math.degrees(grasp.direction),
         "grasp_width_mm": float(grasp.width),
         "grasp_opening_mm": float(grasp.opening),
-        "grasp_clearance_mm": float(grasp.clearance),
+        # Infinite where nothing else is near; a record has no number for that.
+        "grasp_clearance_mm": float(grasp.clearance) if math.isfinite(grasp.clearance) else None,
     }

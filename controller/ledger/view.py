@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
+import math
 import sqlite3
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from types import TracebackType
@@ -17,9 +19,8 @@ from controller.domain import Result
 from controller.errors import LedgerError
 from controller.ledger.failures import as_ledger_error
 from controller.ledger.schema import SCHEMA, is_foreign, migrate, version_of
+from controller.ledger.selection import EVERYTHING, TABLES, Selection, Table
 
-Table = Literal["runs", "intents", "outcomes", "events", "days"]
-TABLES: tuple[Table, ...] = ("runs", "intents", "outcomes", "events", "days")
 _KEY: dict[Table, str] = {
     "runs": "run_id",
     "intents": "intent_id",
@@ -58,18 +59,41 @@ class LedgerReader:
     ) -> None:
         self.close()
 
-    def rows(self, table: Table, run_id: int | None = None) -> Generator[dict[str, object], None, None]:
-        """The records of a table, oldest first, of one run or of all; `days` counts what retention took away."""
-        if table not in TABLES or (table == "days" and run_id is not None):
+    @property
+    def schema(self) -> int:
+        """Schema of the file as it is read."""
+        with as_ledger_error(self.path, "read"):
+            return version_of(self._connection)
+
+    def rows(
+        self, table: Table, selection: Selection = EVERYTHING, last: int | None = None
+    ) -> Generator[dict[str, object], None, None]:
+        """The records of a table, oldest first; `days` counts what retention took away.
+
+        Args:
+            table: The table.
+            selection: Which of them.
+            last: Only so many of the newest.
+
+        Raises:
+            ValueError: There is no such table, or it has nothing of what is asked for.
+            LedgerError: They cannot be read.
+        """
+        if table not in TABLES:
             raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")
-        where, values = ("", ()) if run_id is None else ("WHERE run_id = ?", (run_id,))
+        where, values = selection.where(table)
+        ask = f"SELECT * FROM {table} {where}"
+        if last is not None:
+            key = _KEY[table].replace(",", " DESC,")
+            ask = f"SELECT * FROM ({ask} ORDER BY {key} DESC LIMIT ?)"
+            values = (*values, last)
         with as_ledger_error(self.path, "read"), closing(self._connection.cursor()) as cursor:
-            cursor.execute(f"SELECT * FROM {table} {where} ORDER BY {_KEY[table]}", values)
+            cursor.execute(f"{ask} ORDER BY {_KEY[table]}", values)
             names = [column[0] for column in cursor.description]
             for values_ in cursor:
                 row = dict(zip(names, values_, strict=True))
                 if "details" in row:
-                    row["details"] = json.loads(str(row["details"]))
+                    row["details"] = _details(row["details"])
                 yield row
 
     def counts(self, run_id: int | None = None) -> dict[str, int]:
@@ -122,17 +146,20 @@ class LedgerReader:
             problems.append(f"{targets} targets, but {sum(counts.values())} by result and open")
         return tuple(problems)
 
-    def export(self, format_: Literal["csv", "jsonl"], table: Table = "outcomes") -> Iterator[str]:
+    def export(
+        self, format_: Literal["csv", "jsonl"], table: Table = "outcomes", selection: Selection = EVERYTHING
+    ) -> Iterator[str]:
         """The records of a table as lines of text without their ends: CSV with a header, or one JSON object each."""
-        if table not in TABLES:
-            raise ValueError(f"no table {table!r}; there are {', '.join(TABLES)}")
         if format_ == "jsonl":
-            for row in self.rows(table):
-                yield json.dumps(row)
+            for row in self.rows(table, selection):
+                yield json_line(row)
         elif format_ == "csv":
-            columns = [str(row[1]) for row in self._connection.execute(f"PRAGMA table_info({table})")]
+            rows = self.rows(table, selection)
+            first = next(rows, None)
+            with as_ledger_error(self.path, "read"):
+                columns = [str(row[1]) for row in self._connection.execute(f"PRAGMA table_info({table})")]
             yield _csv_line(columns)
-            for row in self.rows(table):
+            for row in itertools.chain([] if first is None else [first], rows):
                 yield _csv_line([json.dumps(v) if isinstance(v, dict) else v for v in row.values()])
         else:
             raise ValueError(f"no format {format_!r}; there are csv, jsonl")
@@ -209,6 +236,33 @@ def _migrated_copy(connection: sqlite3.Connection) -> sqlite3.Connection:
         copy.close()
         raise
     return copy
+
+
+def json_line(row: Mapping[str, object]) -> str:
+    """A record as one line of strict JSON: bytes become text, and what is no finite number null."""
+    return json.dumps(_finite(row), default=_bytes_as_text, allow_nan=False)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _finite(part) for key, part in value.items()}
+    return [_finite(part) for part in value] if isinstance(value, list) else value
+
+
+def _details(stored: object) -> dict[str, object]:
+    """What an event or a run tells besides its columns; text that is no JSON object is given as it is."""
+    text = _bytes_as_text(stored)
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {"text": text}
+    return found if isinstance(found, dict) else {"text": text}
+
+
+def _bytes_as_text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _csv_line(values: list[str] | list[object]) -> str:

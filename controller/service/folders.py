@@ -8,6 +8,7 @@ from pathlib import Path
 
 from controller.errors import SorterError
 from controller.service.lock import InstanceLock
+from controller.service.unit import STATE
 
 
 class FolderTaken(SorterError):
@@ -23,6 +24,11 @@ def state_folder() -> Path:
         return Path(given.split(os.pathsep)[0])
     base = os.environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path.home() / ".local" / "state") / "sorting-controller"
+
+
+def folder_of_the_cell() -> Path:
+    """Where daily commands look: the service's folder where a service is installed, else one's own."""
+    return STATE if "STATE_DIRECTORY" not in os.environ and STATE.is_dir() else state_folder()
 
 
 def new_run_folder(wanted: Path | None, now: datetime) -> Path:
