@@ -23,7 +23,8 @@ from controller.domain import (
 )
 from controller.errors import CameraEnded
 from controller.geometry import pose
-from controller.motion.planner import TALLEST_PART, Planner
+from controller.motion.planner import Planner
+from controller.motion.postures import TALLEST_PART
 from controller.ports import Arm, Camera
 
 AIR_SPEED = 0.25

@@ -1,0 +1,184 @@
+"""Where the arm stands over a place of the table or a bin: low, and straight above it.
+
+Pure reach: nothing here knows paths, time or the parts around.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.domain import ArmDescription, Array, Bin, Grasp, Point
+from controller.errors import PlanError, Unreachable
+from controller.geometry import transform
+from controller.motion import grasps
+from controller.motion.gate import WALL_MARGIN, Gate
+from controller.motion.kinematics import TOP_DOWN, chain, closing_direction, inverse, roll_for, solutions
+from controller.motion.path import speed_limits
+
+# Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
+# come near the table.
+PITCHES = tuple(math.radians(deg) for deg in (90.0, 85.0, 80.0, 75.0, 70.0, 65.0))
+# The vertical stroke at part and bin. Lifts of 30 to 80 mm cost the same to 3 %; 60 clears every wall used.
+LIFT = 60.0
+CLEARANCE = 10.0  # mm over walls and parts in transit
+TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
+PART_BELOW_TIPS = grasps.TIP_HEIGHT
+TILT_ROOM = 3.0  # mm that a jaw's corner comes lower at the flattest pitch than pointing down
+FALL = 8.0  # mm that a part may fall onto what lies in the bin
+MIN_BEND = math.radians(8.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stop:
+    """A low pose, the pose straight above it, and the stroke's height (mm)."""
+
+    low: Array
+    high: Array
+    rise: float
+
+
+class Postures:
+    """Finds stops for one arm in one cell.
+
+    Args:
+        arm: The arm.
+        gate: Knows where the table lies and what the jaws fit into.
+
+    Attributes:
+        clear: Height of the grasp point over the table (mm) at which jaw tips and a held part pass over everything.
+    """
+
+    def __init__(self, arm: ArmDescription, gate: Gate) -> None:
+        self._arm = arm
+        self._gate = gate
+        self._T = gate.T_base_table
+        self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
+        highest = max([TALLEST_PART, *(bin_.height for bin_ in gate.bins)])
+        self.clear = highest + CLEARANCE + PART_BELOW_TIPS + arm.gripper.jaw_depth
+
+    def azimuth(self, point: Point) -> float:
+        """Direction of the arm's plane when the tool is at a point of `table` (mm), rad about z of `base`."""
+        x, y, _ = transform(self._T, [*point, 0.0])
+        return math.atan2(y, x - chain(self._arm).axis[0])
+
+    def tangent(self, point: Point) -> float:
+        """Closing direction of an arm without wrist roll at a point of `table` (mm), rad about z of `table`."""
+        return self.azimuth(point) + math.pi / 2 - self._yaw
+
+    def over(self, point: Point, height: float, rolls: Sequence[float] | None, direction: float = 0.0) -> Stop:
+        """The pose at a place of `table` from above and the one `LIFT` over it or higher.
+
+        Args:
+            point: (x, y) in `table`, mm.
+            height: z of the grasp point in `table`, mm.
+            rolls: Rolls to choose from; None: those that close along `direction` (rad, `table`).
+            direction: See `rolls`.
+
+        Raises:
+            Unreachable: The message says why.
+        """
+        arm = self._arm
+        position = transform(self._T, [point[0], point[1], height])
+        rise = max(LIFT, self.clear - height)
+        if rolls is None:
+            rolls = roll_for(arm, self.azimuth(point), direction + self._yaw) or (0.0,)
+        roll = min(rolls, key=abs)
+        for pitch in PITCHES:
+            ends = [
+                next((q for k, q in solutions(arm, place, pitch, roll, within=True) if k == 0), None)
+                for place in (position, position + np.array([0.0, 0.0, rise]))
+            ]
+            # A stretched arm would have to move infinitely fast along the stroke.
+            if ends[0] and ends[1] and min(self._bend(ends[0]), self._bend(ends[1])) > MIN_BEND:
+                return Stop(np.array(ends[0]), np.array(ends[1]), rise)
+        for over in (0.0, rise):
+            inverse(arm, position + np.array([0.0, 0.0, over]), TOP_DOWN, roll)
+        raise Unreachable(
+            f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached with the arm stretched out or folded back",
+            "move it nearer, or in front of the arm",
+        )
+
+    def drop(
+        self, bin: Bin, drop: Point, grasp: Grasp | None, held: Array, rest: Point, pile: float | None
+    ) -> Stop:
+        """The pose that lets the part go over `drop`, its centre there.
+
+        Args:
+            bin: The bin.
+            drop: (x, y) in `table`, mm.
+            grasp: How the part is held; None: nothing is.
+            held: ndarray of shape (J,): the posture it was gripped in, rad.
+            rest: Part's centre minus grasp point when it was gripped, `table`, mm.
+            pile: Height of what lies in the bin, or None: unknown, up to the brim.
+
+        Raises:
+            Unreachable: The message says why.
+        """
+        gripper = self._arm.gripper
+        half = np.array(bin.size) / 2.0
+        if (np.abs(np.array(drop) - bin.center) > half).any():
+            raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
+        opening = grasp.opening if grasp is not None else gripper.opening[1]
+        brim = bin.height + WALL_MARGIN + TILT_ROOM
+        over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
+        deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
+        best: tuple[float, Stop] | None = None
+        failure: Unreachable | None = None
+        held_yaw = closing_direction(held)
+        for roll in self._drop_rolls(drop):
+            try:
+                place = drop
+                for _ in range(2):
+                    # The part hangs beside the grasp point and turns with the tool, which turns with the waist.
+                    stop = self.over(place, over, (roll,))
+                    turn = closing_direction(stop.low) - held_yaw
+                    c, s = math.cos(turn), math.sin(turn)
+                    place = (drop[0] - c * rest[0] + s * rest[1], drop[1] - s * rest[0] - c * rest[1])
+                if deep < over:
+                    stop = self.over(place, deep, (roll,))
+                fits = deep < over and self._gate.jaws_inside(bin, stop.low, opening)
+                if not fits:
+                    stop = self.over(place, over, (roll,))
+            except Unreachable as error:
+                failure = failure or error
+                continue
+            # Deeper is better than sooner: 1 mm of fall is worth 10 ms.
+            cost = float((np.abs(stop.high - held) / speed_limits(self._arm)).max())
+            cost += 0.0 if fits else 0.01 * max(over - deep, 0.0)
+            if best is None or cost < best[0]:
+                best = cost, stop
+        if best is None:
+            assert failure is not None
+            raise failure
+        return best[1]
+
+    def error(self, point: Point, height: float) -> str | None:
+        """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
+        try:
+            self.over(point, height, (0.0,))
+        except PlanError as error:
+            return error.cause
+        return None
+
+    def bin_error(self, bin: Bin) -> str | None:
+        """Why no part can be let go in the middle of a bin, or None when it can."""
+        try:
+            self.drop(bin, bin.center, None, np.array(self._arm.ready), (0.0, 0.0), None)
+        except PlanError as error:
+            return error.cause
+        return None
+
+    def _bend(self, q: Sequence[float]) -> float:
+        """Angle by which the elbow is bent away from straight, rad."""
+        c = chain(self._arm)
+        return abs(q[2] - (c.fore[1] - c.upper[1]))
+
+    def _drop_rolls(self, drop: Point) -> tuple[float, ...]:
+        """Rolls that set the jaws along the sides of the bin, or the only one there is."""
+        azimuth = self.azimuth(drop)
+        rolls = [r for k in range(2) for r in roll_for(self._arm, azimuth, self._yaw + k * math.pi / 2)]
+        return tuple(rolls) or (0.0,)
