@@ -439,6 +439,7 @@ class Grasp:
         width: Extent of the part along the closing direction, mm: the opening at contact.
         opening: Clear opening before closing, mm.
         clearance: Smallest distance of a jaw's swept area from anything else, mm.
+        flush: Extent once the closing jaws have turned the part flush, mm: `width` or less, and where they settle.
     """
 
     center: Point
@@ -447,6 +448,7 @@ class Grasp:
     width: float
     opening: float
     clearance: float
+    flush: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,22 +39,23 @@ def obstruction(report: MoveReport, approach: Trajectory) -> str | None:
 
 def closing_target(grasp: Grasp, gripper: Gripper) -> float:
     """Opening (mm) to send the jaws to, so that they stop on the part and not at the target."""
-    return max(grasp.width - SQUEEZE_MM, gripper.opening[0])
+    return max(grasp.flush - SQUEEZE_MM, gripper.opening[0])
 
 
 def refusal(report: GripReport, grasp: Grasp) -> str | None:
     """Why a closed gripper does not hold the part, or None when it does."""
     if not report.contact:
         return f"the jaws closed to {report.opening:.1f} mm without touching a part"
-    if abs(report.opening - grasp.width) > WIDTH_TOLERANCE_MM:
-        return f"the jaws stopped at {report.opening:.1f} mm where the part is {grasp.width:.1f} mm wide"
+    # Jaws turn a part that lies askew flush, or hold it as it lies: both are a grasp.
+    if not grasp.flush - WIDTH_TOLERANCE_MM <= report.opening <= grasp.width + WIDTH_TOLERANCE_MM:
+        return f"the jaws stopped at {report.opening:.1f} mm where the part is {_wide(grasp)} mm wide"
     return None
 
 
 def lost(state: ArmState, grasp: Grasp) -> str | None:
     """Why a part gripped before is no longer between the jaws, or None while it is."""
-    if state.opening < grasp.width - WIDTH_TOLERANCE_MM:
-        return f"the jaws closed to {state.opening:.1f} mm on the way: the {grasp.width:.1f} mm part is gone"
+    if state.opening < grasp.flush - WIDTH_TOLERANCE_MM:
+        return f"the jaws closed to {state.opening:.1f} mm on the way: the {_wide(grasp)} mm part is gone"
     return None
 
 
@@ -63,3 +64,8 @@ def kept(report: GripReport, grasp: Grasp) -> str | None:
     if report.opening > grasp.width + RELEASE_MM:
         return None
     return f"the jaws opened to {report.opening:.1f} mm only: the {grasp.width:.1f} mm part is still between them"
+
+
+def _wide(grasp: Grasp) -> str:
+    """The part's extent between the jaws: as it lies, and flush where that differs."""
+    return f"{grasp.width:.1f}" if grasp.width - grasp.flush < 0.1 else f"{grasp.flush:.1f} to {grasp.width:.1f}"

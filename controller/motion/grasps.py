@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,6 +32,10 @@ _CIRCLE_DIRECTIONS = 12
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
 _TRIANGLE_TURN = math.radians(20.0)
+# Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot.
+_SHIFTS = (4.0, -4.0, 7.0, -7.0)
+_SHIFT_QUALITY = 0.8
+_FLUSH_TURN = math.radians(20.0)  # turned by more, shifted jaws might not bring a part flush
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +45,12 @@ class Side:
     Attributes:
         direction: rad about z of `table`, in [0, pi).
         quality: 1 for parallel flats across the short side, less for what may slip or turn.
+        shift: How far the jaws stand to the left of the part's middle, seen along `direction`, mm.
     """
 
     direction: float
     quality: float
+    shift: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,15 +95,31 @@ def oblique_sides(part: LocatedObject) -> tuple[Side, ...]:
     )
 
 
+def shifted_sides(offers: Sequence[Side], part: LocatedObject) -> tuple[Side, ...]:
+    """The same directions with the jaws beside the part's middle, for when a neighbour leaves no room before it."""
+    flat = [side for side in offers if part.shape is Shape.CIRCLE or _turned(part, side.direction) <= _FLUSH_TURN]
+    return tuple(replace(side, quality=_SHIFT_QUALITY * side.quality, shift=by) for by in _SHIFTS for side in flat)
+
+
+def _turned(part: LocatedObject, direction: float) -> float:
+    """Angle between a closing direction and the nearest that the part's outline offers, rad."""
+    return min(abs(angle_difference(direction, side.direction, math.pi)) for side in sides(part))
+
+
 def fixed_side(part: LocatedObject, direction: float) -> Side | None:
     """The only direction an arm without wrist roll can close along, or None when it would not hold."""
     nearest = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi)))
-    turn = abs(angle_difference(direction, nearest.direction, math.pi))
-    if part.shape is Shape.CIRCLE:
-        turn = 0.0
+    turn = 0.0 if part.shape is Shape.CIRCLE else _turned(part, direction)
     if part.shape is Shape.TRIANGLE and turn > _TRIANGLE_TURN:
         return None
     return Side(direction % math.pi, nearest.quality * (1.0 - turn / math.pi))
+
+
+def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
+    """Extent of the part between jaws that have turned it to the nearest of its own directions, mm."""
+    own = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi))).direction
+    along = hull @ np.array([math.cos(own), math.sin(own)])
+    return float(along.max() - along.min())
 
 
 def obstacles(others: Sequence[LocatedObject], bins: Sequence[Bin], near: Point, within: float) -> Array:
@@ -120,6 +142,42 @@ def _dense(outline: Array) -> Array:
     closed = np.vstack([outline, outline[:1]])
     at = np.linspace(0.0, along[-1], count, endpoint=False)
     return np.column_stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])])
+
+
+def ways_to_take(part: LocatedObject, gripper: Gripper, blocked: Array, tangent: float | None) -> list[Choice]:
+    """Every free way to take a part of the best kind there is: on its flats, beside its middle, a little askew.
+
+    Args:
+        part: What to take.
+        gripper: The gripper.
+        blocked: ndarray of shape (N, 2): points of `obstacles`, mm.
+        tangent: The only closing direction of an arm without wrist roll, rad about z of `table`; None with one.
+
+    Raises:
+        NoClearGrasp: There is none; the message says why on the flats.
+    """
+    if tangent is None:
+        offers, last = sides(part), oblique_sides(part)
+    else:
+        side = fixed_side(part, tangent)
+        if side is None:
+            place = f"{part.shape} at ({part.center[0]:.0f}, {part.center[1]:.0f}) mm"
+            raise NoClearGrasp(f"{place}: lies turned so that the jaws would squeeze it out", "turn the part")
+        offers, last = (side,), ()
+    failure: NoClearGrasp | None = None
+    for kind in (offers, shifted_sides(offers, part), last):
+        try:
+            if kind:
+                return choose(part, kind, gripper, blocked)
+        except NoClearGrasp as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
+def reach_about(part: LocatedObject, gripper: Gripper) -> float:
+    """How far about a part's centre something may be in the way of jaws that take it, mm."""
+    return gripper.opening[1] / 2.0 + sum(gripper.jaw_size) + ENOUGH_CLEARANCE + max(part.size)
 
 
 def choose(
@@ -153,7 +211,7 @@ def choose(
         width = high - low
         widths.append(width)
         # Both jaws touch at the same time when the grasp point lies in the middle of the extent.
-        middle = center + axis * (low + high) / 2.0
+        middle = center + axis * (low + high) / 2.0 + side.shift * np.array([-axis[1], axis[0]])
         for margin in OPENING_MARGINS:
             opening = min(width + 2.0 * (margin + part.sigma), widest)
             if opening - width < 2.0 * OPENING_MARGINS[-1] or width < narrowest:
@@ -168,6 +226,7 @@ def choose(
                 width=width,
                 opening=max(opening, narrowest),
                 clearance=clearance,
+                flush=min(width, _flush(part, hull, side.direction)),
             )
             room = min(clearance, ENOUGH_CLEARANCE) / ENOUGH_CLEARANCE
             spread = margin / OPENING_MARGINS[0]

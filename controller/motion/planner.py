@@ -102,7 +102,9 @@ class Planner:
             LimitViolation: The gate refuses the plan.
         """
         q0 = self._wanted(start)
-        choices = self._choices(target, others)
+        gripper = self.arm.gripper
+        near = grasps.obstacles(others, self.bins, target.center, grasps.reach_about(target, gripper))
+        choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center))
         failure: PlanError | None = None
         for choice in choices:
             try:
@@ -177,34 +179,8 @@ class Planner:
         """Why no part can be let go in the middle of a bin, or None when it can."""
         return self._postures.bin_error(bin)
 
-    # --- how to take it -----------------------------------------------------------------------------------
-
-    def _choices(self, target: LocatedObject, others: Sequence[LocatedObject]) -> list[grasps.Choice]:
-        gripper = self.arm.gripper
-        if len(self.arm.joints) > 4:
-            offers = grasps.sides(target)
-        else:
-            side = grasps.fixed_side(target, self._postures.tangent(target.center))
-            if side is None:
-                raise NoClearGrasp(
-                    f"{target.shape} at ({target.center[0]:.0f}, {target.center[1]:.0f}) mm: lies turned so that the "
-                    "jaws would squeeze it out",
-                    "turn the part",
-                )
-            offers = (side,)
-        within = gripper.opening[1] / 2.0 + sum(gripper.jaw_size) + grasps.ENOUGH_CLEARANCE + max(target.size)
-        blocked = grasps.obstacles(others, self.bins, target.center, within)
-        try:
-            return grasps.choose(target, offers, gripper, blocked)
-        except NoClearGrasp:
-            oblique = grasps.oblique_sides(target) if len(self.arm.joints) > 4 else ()
-            if not oblique:
-                raise
-            try:
-                return grasps.choose(target, oblique, gripper, blocked)
-            except NoClearGrasp:
-                pass
-            raise
+    def _tangent(self, point: Point) -> float | None:
+        return None if len(self.arm.joints) > 4 else self._postures.tangent(point)
 
     # --- paths --------------------------------------------------------------------------------------------
 

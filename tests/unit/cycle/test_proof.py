@@ -12,8 +12,8 @@ from controller.domain import ArmState, Grasp, GripReport
 GRIPPER = load_arm("reactorx_150").gripper
 
 
-def grasp(width: float) -> Grasp:
-    return Grasp((0.0, 0.0), 15.0, 0.0, width, width + 8.0, 5.0)
+def grasp(width: float, flush: float | None = None) -> Grasp:
+    return Grasp((0.0, 0.0), 15.0, 0.0, width, width + 8.0, 5.0, width if flush is None else flush)
 
 
 @pytest.mark.parametrize("width", [34.0, 45.0, 60.0])
@@ -27,6 +27,14 @@ def test_jaws_that_reach_their_target_are_told_from_jaws_on_a_part(width: float)
 @pytest.mark.parametrize("opening", [39.0, 51.0])
 def test_a_part_of_another_width_is_refused(opening: float) -> None:
     assert "45.0 mm wide" in str(proof.refusal(GripReport(True, True, opening, 0.3), grasp(45.0)))
+
+
+def test_a_part_that_lay_askew_may_be_turned_flush_or_held_as_it_lies() -> None:
+    askew = grasp(48.7, flush=38.0)
+    assert proof.closing_target(askew, GRIPPER) == 30.0
+    for opening in (38.0, 43.0, 48.7):
+        assert proof.refusal(GripReport(True, True, opening, 0.3), askew) is None
+    assert "38.0 to 48.7 mm wide" in str(proof.refusal(GripReport(True, True, 33.0, 0.3), askew))
 
 
 def test_jaws_that_closed_on_the_way_have_lost_the_part() -> None:
