@@ -481,6 +481,36 @@ class PickPlan:
         return self.approach, self.carry, self.retreat
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NudgePlan:
+    """A push that makes room for the jaws, approved as a whole before anything moves.
+
+    The jaws close to `opening` on the way and stay so.
+
+    Attributes:
+        target: The part that is to be freed.
+        moved: What is pushed: the target, or a neighbour.
+        by: (dx, dy) that it is expected to go, mm in `table`.
+        opening: Clear opening of the jaws during all of it, mm.
+        approach: Down to the table beside it.
+        push: Straight along the table.
+        retreat: Up, and to the ready pose.
+    """
+
+    target: LocatedObject
+    moved: LocatedObject
+    by: Point
+    opening: float
+    approach: Trajectory
+    push: Trajectory
+    retreat: Trajectory
+
+    @property
+    def trajectories(self) -> tuple[Trajectory, ...]:
+        """All moves in order."""
+        return self.approach, self.push, self.retreat
+
+
 class Result(StrEnum):
     """What became of a target; every target gets exactly one."""
 

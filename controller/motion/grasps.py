@@ -124,16 +124,16 @@ def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
 
 def obstacles(others: Sequence[LocatedObject], bins: Sequence[Bin], near: Point, within: float) -> Array:
     """Points (N, 2) along the outlines of everything near a place that a jaw must not touch, mm."""
-    outlines = [_dense(other.footprint) for other in others if math.dist(other.center, near) < within + max(other.size)]
+    outlines = [dense(other.footprint) for other in others if math.dist(other.center, near) < within + max(other.size)]
     for bin_ in bins:
         half = np.array(bin_.size) / 2.0 + BIN_WALL
         if math.dist(bin_.center, near) < within + float(np.hypot(*half)):
             corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half + bin_.center
-            outlines.append(_dense(corners))
+            outlines.append(dense(corners))
     return np.concatenate(outlines) if outlines else np.empty((0, 2))
 
 
-def _dense(outline: Array) -> Array:
+def dense(outline: Array) -> Array:
     """Points every 2 mm along a closed outline."""
     ahead = np.roll(outline, -1, axis=0)
     lengths = np.linalg.norm(ahead - outline, axis=1)
@@ -175,6 +175,11 @@ def ways_to_take(part: LocatedObject, gripper: Gripper, blocked: Array, tangent:
     raise failure
 
 
+def grasp_height(part: LocatedObject, gripper: Gripper) -> float:
+    """Height (z) of the grasp point at a part, the jaw tips just over the table, mm."""
+    return min(TIP_HEIGHT, part.height / 2.0) + gripper.jaw_depth
+
+
 def reach_about(part: LocatedObject, gripper: Gripper) -> float:
     """How far about a part's centre something may be in the way of jaws that take it, mm."""
     return gripper.opening[1] / 2.0 + sum(gripper.jaw_size) + ENOUGH_CLEARANCE + max(part.size)
@@ -201,7 +206,7 @@ def choose(
     center = np.array(part.center)
     narrowest, widest = gripper.opening
     thickness, across = gripper.jaw_size
-    height = min(TIP_HEIGHT, part.height / 2.0) + gripper.jaw_depth
+    height = grasp_height(part, gripper)
     found: list[Choice] = []
     widths: list[float] = []
     for side in offers:

@@ -8,21 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.domain import ArmDescription, Array, Bin, CellCalibration, Trajectory
-from controller.errors import LimitViolation, Unreachable
+from controller.errors import LimitViolation
 from controller.geometry import invert, transform
 from controller.motion import dynamics
-from controller.motion.kinematics import branches, chain, points
-from controller.motion.path import Leg, branch_of, join, line, speed_limits
+from controller.motion.kinematics import chain, points
+from controller.motion.path import Leg, join, line, straight
 from controller.motion.planner import Planner
 from controller.motion.trajectory import generate
 
 REDUCED_SPEED = 250.0  # mm/s of the grasp point
 _JOINT_SHARE = 0.25  # of the joints' speed limits, where the tool hardly moves (a wrist roll)
 _TRIES = 4
-_CHECK_STEP = 2.0  # mm between the points of a straight step that are checked against the reach
 _LARGEST_TURN = 0.6  # rad a joint may turn in one straight step: more means the arm is about to fold over
 
 
@@ -89,7 +87,7 @@ class ManualPlanner:
             LimitViolation: The gate refuses it; nothing moves.
         """
         T_base_table = np.asarray(self.calibration.T_base_table, np.float64)
-        leg = _straight(self.arm, posture, T_base_table[:3, :3] @ by)
+        leg = straight(self.arm, posture, T_base_table[:3, :3] @ by)
         if np.abs(leg.end - posture).max() > _LARGEST_TURN:
             raise LimitViolation("the arm is nearly folded or stretched here", "turn single joints instead")
         return self._step(posture, leg, opening)
@@ -116,21 +114,3 @@ class ManualPlanner:
 
     def _planner(self, share: float) -> Planner:
         return Planner(self.arm, self.calibration, self._bins, speed=share)
-
-
-def _straight(arm: ArmDescription, posture: Array, by: Array) -> Leg:
-    """The straight line of the grasp point by a vector of `base` (mm), the tool's pitch, roll and branch kept."""
-    start = points(arm, posture)[3]
-    pitch, roll, branch = branch_of(arm, posture)
-
-    def solve(t: Array) -> tuple[Array, NDArray[np.bool_]]:
-        q, allowed = branches(arm, start + t[:, None] * by, pitch, roll)
-        return q[:, branch], allowed[:, branch]
-
-    distance = float(np.linalg.norm(by))
-    t = np.linspace(0.0, 1.0, max(int(distance / _CHECK_STEP) + 1, 3))
-    q, allowed = solve(t)
-    if not allowed.all():
-        raise Unreachable("the straight step leaves the arm's reach", "step another way, or turn single joints")
-    length = float(np.linalg.norm(np.diff(q, axis=0) / speed_limits(arm), axis=1).sum())
-    return Leg(lambda t: solve(t)[0], True, length, (np.array([0.0, 1.0]), np.array([0.0, distance])))

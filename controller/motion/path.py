@@ -20,7 +20,7 @@ from controller.motion.kinematics import branches, chain, points, solutions
 
 # Knots every 12 ms of full speed: the spline between them leaves a vertical stroke by less than 1 um.
 KNOT_SPACING = 0.012
-_STROKE_STEP = 5.0  # mm between the points of a vertical stroke that are checked against the reach
+_STROKE_STEP = 5.0  # mm between the points of a straight line that are checked against the reach
 _DIFFERENCE = 1e-4  # share of a stroke
 
 
@@ -108,25 +108,39 @@ def stroke(arm: ArmDescription, posture: Array, rise: float) -> Leg:
     Raises:
         Unreachable: Some point of it is out of reach.
     """
+    return straight(arm, posture, np.array([0.0, 0.0, rise]))
+
+
+def straight(arm: ArmDescription, posture: Array, by: Array) -> Leg:
+    """The straight line of the grasp point, the tool's pitch, its roll joint and the branch kept.
+
+    Args:
+        arm: The arm.
+        posture: Joint angles where it starts, rad.
+        by: ndarray of shape (3,), how far in `base`, mm.
+
+    Raises:
+        Unreachable: Some point of it is out of reach.
+    """
     start = points(arm, posture)[3]
     pitch, roll, branch = branch_of(arm, posture)
 
     def solve(t: Array) -> tuple[Array, NDArray[np.bool_]]:
-        way = np.repeat(start[None], len(t), axis=0)
-        way[:, 2] += t * rise
-        q, allowed = branches(arm, way, pitch, roll)
+        q, allowed = branches(arm, start + t[:, None] * by, pitch, roll)
         return q[:, branch], allowed[:, branch]
 
-    t = np.linspace(0.0, 1.0, max(int(abs(rise) / _STROKE_STEP) + 1, 2))
+    distance = float(np.linalg.norm(by))
+    t = np.linspace(0.0, 1.0, max(int(distance / _STROKE_STEP) + 1, 3))
     q, allowed = solve(t)
     if not allowed.all():
-        where = start[2] + rise * t[int(np.argmin(allowed))]
+        x, y, z = start + by * t[int(np.argmin(allowed))]
         raise Unreachable(
-            f"the vertical stroke at ({start[0]:.0f}, {start[1]:.0f}) mm leaves the reach at {where:.0f} mm",
-            "move the part or the bin nearer",
+            f"the straight way from ({start[0]:.0f}, {start[1]:.0f}, {start[2]:.0f}) mm leaves the arm's reach at "
+            f"({x:.0f}, {y:.0f}, {z:.0f}) mm",
+            "move the part or the bin nearer, or step another way",
         )
     length = float(np.linalg.norm(np.diff(q, axis=0) / speed_limits(arm), axis=1).sum())
-    return Leg(lambda t: solve(t)[0], True, length, (np.array([0.0, 1.0]), np.array([0.0, abs(rise)])))
+    return Leg(lambda t: solve(t)[0], True, length, (np.array([0.0, 1.0]), np.array([0.0, distance])))
 
 
 def branch_of(arm: ArmDescription, posture: Array) -> tuple[float, float, int]:

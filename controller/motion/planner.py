@@ -14,22 +14,24 @@ from controller.domain import (
     CellCalibration,
     Grasp,
     LocatedObject,
+    NudgePlan,
     PickPlan,
     Point,
     Trajectory,
     Waypoint,
 )
-from controller.errors import LimitViolation, NoClearGrasp, PlanError, Unreachable
+from controller.errors import LimitViolation, PlanError, Unreachable
 from controller.geometry import invert, transform
-from controller.motion import dynamics, grasps, ways
+from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
 from controller.motion.kinematics import chain, points
-from controller.motion.path import Leg, join, line, stroke
+from controller.motion.path import Leg, join, line, straight, stroke
 from controller.motion.postures import CLEARANCE, PART_BELOW_TIPS, Postures, Stop
 from controller.motion.trajectory import generate
 from controller.motion.view import hides
 
 CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
+PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
 
 
@@ -114,6 +116,40 @@ class Planner:
         assert failure is not None
         raise failure
 
+    def plan_nudge(
+        self,
+        target: LocatedObject,
+        others: Sequence[LocatedObject],
+        area: Array,
+        start: Array,
+        *,
+        climb: float = 0.0,
+    ) -> NudgePlan:
+        """A push of a part or its neighbour after which the part can be taken, approved as a whole.
+
+        Args:
+            target: A part that `plan_pick` found no room for.
+            others: Everything else on the table, whatever it is.
+            area: ndarray of shape (N, 2): outline in `table` that what is pushed must stay in, mm.
+            start: ndarray of shape (J,): measured joint angles, rad.
+            climb: mm that the way begins straight up, because the arm stands deep in a bin.
+
+        Raises:
+            NoClearGrasp: No push would free it.
+            Unreachable: Every push lies outside the reach.
+            LimitViolation: The gate refuses every push.
+        """
+        q0 = self._wanted(start)
+        tangent = None if len(self.arm.joints) > 4 else self._postures.tangent
+        failure: PlanError | None = None
+        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent):
+            try:
+                return self._nudge(target, push, others, q0, climb)
+            except (Unreachable, LimitViolation) as error:
+                failure = failure or error
+        assert failure is not None
+        raise failure
+
     def plan_move(self, name: str, start: Array, goal: Array) -> Trajectory:
         """A move from a pose to another, over a safe height where the direct way passes low.
 
@@ -129,7 +165,7 @@ class Planner:
         goal = np.asarray(goal, np.float64)
         failure: LimitViolation | None = None
         for legs, corners in ways.between(self.arm, self._clear, q0, goal):
-            trajectory = self._calm(name, legs, corners)
+            trajectory = self._calm(name, legs, corners, CALM_SPEED)
             try:
                 self.gate.check(trajectory, q0)
             except LimitViolation as error:
@@ -222,6 +258,30 @@ class Planner:
         self.gate.check_plan(plan, q0)
         return plan
 
+    def _nudge(
+        self, target: LocatedObject, push: nudges.Push, others: Sequence[LocatedObject], q0: Array, climb: float
+    ) -> NudgePlan:
+        gripper = self.arm.gripper
+        opening = gripper.opening[0]
+        height = grasps.grasp_height(push.moved, gripper)
+        stop = self._postures.over(push.start, height, None, push.direction)
+        tall = max([target.height, *(other.height for other in others)])
+        rounded = stop.rise - min(tall + PART_BELOW_TIPS + gripper.jaw_depth - height + 2.0, stop.rise)
+        approach = self._approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)
+        along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*push.by, 0.0]))
+        shove = self._calm("push", [along], [], PUSH_SPEED)
+        up = stroke(self.arm, along.end, stop.rise)
+        home = line(self.arm, up.end, np.array(self.arm.ready))
+        retreat = self._trajectory("retreat", [up, home], [(rounded, ways.CORNER)])
+        where = q0
+        for trajectory in (approach, shove, retreat):
+            self.gate.check(trajectory, where, opening=opening)
+            where = trajectory.positions[-1]
+        share = push.travel / math.hypot(*push.by)
+        return NudgePlan(
+            target, push.moved, (push.by[0] * share, push.by[1] * share), opening, approach, shove, retreat
+        )
+
     def _approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
         failure: LimitViolation | None = None
         found = (
@@ -251,16 +311,20 @@ class Planner:
         path = join(self.arm, legs, corners)
         return generate(self.arm, path, name, speed=self.speed, joint_offsets=self._offsets, payload=payload)
 
-    def _calm(self, name: str, legs: Sequence[Leg], corners: Sequence[tuple[float, float]]) -> Trajectory:
-        """A trajectory slowed so far that the tool, swung out on a stretched arm, keeps its speed limit."""
-        trajectory = self._trajectory(name, legs, corners)
-        way = points(self.arm, trajectory.positions)[:, 3]
-        top = float(np.linalg.norm(np.diff(way, axis=0), axis=1).max(initial=0.0)) / trajectory.period
-        if top <= CALM_SPEED:
-            return trajectory
+    def _calm(
+        self, name: str, legs: Sequence[Leg], corners: Sequence[tuple[float, float]], limit: float
+    ) -> Trajectory:
+        """A trajectory slowed so far that the tool, swung out on a stretched arm, keeps a speed limit (mm/s)."""
         path = join(self.arm, legs, corners)
-        speed = self.speed * CALM_SPEED / top
-        return generate(self.arm, path, name, speed=speed, joint_offsets=self._offsets)
+        speed = self.speed
+        while True:
+            trajectory = generate(self.arm, path, name, speed=speed, joint_offsets=self._offsets)
+            way = points(self.arm, trajectory.positions)[:, 3]
+            top = float(np.linalg.norm(np.diff(way, axis=0), axis=1).max(initial=0.0)) / trajectory.period
+            if top <= limit:
+                return trajectory
+            # A little more than in proportion: smoothing takes less off the peak of a slower move.
+            speed *= 0.98 * limit / top
 
     def _waypoints(self, pick: Stop, place: Stop, finish: Array) -> tuple[Waypoint, ...]:
         T_table_base = invert(self._T)

@@ -1,4 +1,4 @@
-"""Prints what motion costs and yields: planning time, durations beside the time-optimal ones, jerk, finger room.
+"""Prints what motion costs and yields: planning time, durations beside the time-optimal ones, jerk.
 
 Run: python -m tests.benchmarks.motion [count]
 """
@@ -14,9 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from controller.config.arm import load_arm
-from controller.domain import ArmDescription, LocatedObject, Shape
-from controller.errors import PlanError
 from controller.motion import kinematics
 from controller.motion.path import Path, join, line, speed_limits, stroke
 from controller.motion.planner import Planner
@@ -121,69 +118,12 @@ def _polar(rng: np.random.Generator, radius: tuple[float, float], degrees: tuple
     return r * math.cos(a), r * math.sin(a)
 
 
-def finger_room(layouts: int) -> None:
-    """Share of scattered parts the jaws can take at once, and after clearing whatever can be taken."""
-    for name, radius in (("reactorx_150", 230.0), ("open_manipulator_x", 200.0)):
-        arm = load_arm(name)
-        for count in (4, 8, 12):
-            now, cleared, total = 0, 0, 0
-            for seed in range(layouts):
-                things = pile(np.random.default_rng(seed), count)
-                total += count
-                free, left = _clear(arm, things, radius)
-                now += free
-                cleared += count - left
-            print(
-                f"finger room, {len(arm.joints)} joints, {count:2d} parts: {now / total:.0%} at once, "
-                f"{cleared / total:.0%} after clearing"
-            )
-
-
-def pile(rng: np.random.Generator, count: int) -> list[LocatedObject]:
-    """Parts scattered at random, touching at most (by their true outlines)."""
-    from tests.unit.motion.scene import polygon_gap
-
-    found: list[LocatedObject] = []
-    while len(found) < count:
-        radius, azimuth = math.sqrt(rng.uniform(150.0**2, 240.0**2)), rng.uniform(-50.0, 50.0)
-        shape = PARTS[int(rng.integers(5))]
-        size = rng.uniform(34.0, 44.0)
-        thing = part(
-            shape if shape is not Shape.RECTANGLE else Shape.SQUARE, size, at(radius, azimuth), rng.uniform(0, 6.3)
-        )
-        if all(polygon_gap(thing.footprint, other.footprint) > 1.0 for other in found):
-            found.append(thing)
-    return found
-
-
-def _clear(arm: ArmDescription, things: list[LocatedObject], radius: float) -> tuple[int, int]:
-    boxes = bins(radius)[::3]
-    planner = Planner(arm, calibration(), boxes)
-    at_once, left = 0, list(things)
-    first = True
-    while True:
-        gone = []
-        for thing in left:
-            others = [other for other in left if other is not thing]
-            try:
-                planner.plan_pick(thing, others, boxes[0], boxes[0].center, np.array(arm.ready), pile=0.0)
-            except PlanError:
-                continue
-            gone.append(thing)
-        if first:
-            at_once, first = len(gone), False
-        if not gone:
-            return at_once, len(left)
-        left = [thing for thing in left if thing not in gone]
-
-
 def main() -> None:
     """Run everything."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     inverse_time()
     cycles(count)
     against_optimum(count)
-    finger_room(max(count // 10, 2))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,278 @@
+"""Which push makes room for the jaws: a part, or its neighbour, shoved aside by the closed gripper.
+
+Everything is planar, in `table` (mm, rad), like the grasps: the closed jaws come down beside a part as a box, push
+it straight, and rise. Whether the arm can do so is the planner's question. Where a pushed part comes to lie is
+only predicted, for friction decides: the cell looks again after every push.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Array, Bin, Gripper, LocatedObject, Point, Shape
+from controller.errors import NoClearGrasp
+from controller.geometry import angle_difference, wrap
+from controller.motion import grasps
+
+GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
+TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the least that frees the target first
+BUMP = 3.0  # mm a pushed part keeps from others: it may turn a little on its way
+AREA_MARGIN = 5.0  # mm that a pushed part's middle keeps from the border of the area
+_NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp
+_ASIDE = (0.0, 6.0, -6.0)  # mm by which the box may push beside the part's middle
+_HEADINGS = 16
+_LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
+_HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
+# What makes one push better than another that frees the target as well, in mm of travel.
+_COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
+_MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Push:
+    """One way to make room.
+
+    Attributes:
+        moved: The part that is pushed.
+        start: (x, y) of the closed gripper's middle where it comes down, mm.
+        by: (dx, dy) that the gripper goes, mm.
+        direction: Closing direction of the jaws, rad.
+        travel: How far the part is expected to go, mm.
+        cost: The less the better.
+    """
+
+    moved: LocatedObject
+    start: Point
+    by: Point
+    direction: float
+    travel: float
+    cost: float
+
+
+def pushes(
+    target: LocatedObject,
+    others: Sequence[LocatedObject],
+    bins: Sequence[Bin],
+    area: Array,
+    gripper: Gripper,
+    tangent: Callable[[Point], float] | None,
+) -> list[Push]:
+    """Pushes after which the target should have a free grasp, best first.
+
+    Args:
+        target: What cannot be taken.
+        others: Everything else on the table.
+        bins: All bins.
+        area: ndarray of shape (N, 2): outline that what is pushed must stay in, mm.
+        gripper: The gripper.
+        tangent: Closing direction of an arm without wrist roll at a point of `table`, rad; None with a roll.
+
+    Raises:
+        NoClearGrasp: No push would free it.
+    """
+    scene = _Scene(target, tuple(others), tuple(bins), np.ascontiguousarray(area, np.float32), gripper, tangent)
+    found: list[Push] = []
+    for moved in (target, *scene.culprits()):
+        blocked = scene.solid_about(moved)
+        rest = scene.outlines_without(moved)
+        for heading, direction in scene.headings(moved):
+            for push in scene.free_pushes(moved, heading, direction, blocked):
+                freed = scene.first_that_frees(push, rest)
+                if freed is not None:
+                    found.append(freed)
+    if not found:
+        x, y = target.center
+        raise NoClearGrasp(
+            f"{target.shape} at ({x:.0f}, {y:.0f}) mm: no push would make room for the jaws", "move the parts apart"
+        )
+    return sorted(found, key=lambda push: push.cost)[:_MOST]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """A table with a part that cannot be taken, and a gripper; attributes as for `pushes`."""
+
+    target: LocatedObject
+    others: tuple[LocatedObject, ...]
+    bins: tuple[Bin, ...]
+    border: NDArray[np.float32]
+    gripper: Gripper
+    tangent: Callable[[Point], float] | None
+
+    def culprits(self) -> list[LocatedObject]:
+        """Neighbours, each of which alone keeps the target from being taken, nearest first."""
+        reach = _NEIGHBOURHOOD + max(self.target.size) / 2.0
+        near = [thing for thing in self.others if _distance(thing, self.target) < reach]
+        guilty = [thing for thing in near if self.can_be_taken(self.target, self.outlines_without(thing))]
+        return sorted(guilty, key=lambda thing: _distance(thing, self.target))
+
+    def outlines_without(self, moved: LocatedObject) -> Array:
+        """Points along all outlines near the target but its own and that of `moved`."""
+        rest = [thing for thing in self.others if thing is not moved]
+        within = grasps.reach_about(self.target, self.gripper) + max(TRAVELS)
+        return grasps.obstacles(rest, self.bins, self.target.center, within)
+
+    def solid_about(self, moved: LocatedObject) -> Array:
+        """Points on and inside everything near a part but itself: no box may come down inside an outline either."""
+        rest = [thing for thing in (self.target, *self.others) if thing is not moved]
+        points = [grasps.obstacles(rest, self.bins, moved.center, 2.0 * max(TRAVELS) + self.gripper.opening[1])]
+        for thing in rest:
+            center = np.array(thing.center)
+            points += [center + share * (thing.footprint - center) for share in (0.75, 0.5, 0.25)]
+        return np.concatenate(points)
+
+    def headings(self, moved: LocatedObject) -> Iterable[tuple[float, float]]:
+        """(heading of the push, closing direction): the broad face of the gripper leads, or its narrow one."""
+        if self.tangent is None:
+            for k in range(_HEADINGS):
+                heading = 2.0 * math.pi * k / _HEADINGS
+                yield heading, heading + math.pi / 2
+                yield heading, heading
+        else:
+            direction = self.tangent(moved.center)
+            for k in range(4):
+                yield direction + k * math.pi / 2, direction
+
+    def free_pushes(
+        self, moved: LocatedObject, heading: float, direction: float, blocked: Array
+    ) -> Iterable[Push]:
+        """Pushes of one part along one heading as far as nothing is in the way; `travel` is the most that is free."""
+        ahead = np.array([math.cos(heading), math.sin(heading)])
+        left = np.array([-ahead[1], ahead[0]])
+        broad = abs(math.sin(heading - direction)) > 0.5
+        thickness, across = self.gripper.jaw_size
+        half_closing, half_across = self.gripper.opening[0] / 2.0 + thickness, across / 2.0
+        deep, wide = (half_across, half_closing) if broad else (half_closing, half_across)
+        hull = _hull(moved) - np.array(moved.center)
+        back = float((hull @ ahead).min())
+        if self.tangent is not None:
+            # The gripper turns with the waist: it comes down askew to its push.
+            x, y = np.array(moved.center) + (back - deep) * ahead
+            skew = abs(angle_difference(self.tangent((float(x), float(y))), direction, math.pi))
+            deep, wide = (
+                deep * math.cos(skew) + wide * math.sin(skew),
+                wide * math.cos(skew) + deep * math.sin(skew),
+            )
+        away = blocked - np.array(moved.center)
+        along, beside = away @ ahead, away @ left
+        room = grasps.MIN_CLEARANCE + moved.sigma
+        most = _free_travel(hull, ahead, left, along, beside)
+        gap = GAP + moved.sigma
+        for aside in _ASIDE:
+            middle = back - gap - deep
+            lane = np.abs(beside - aside) < wide + room
+            if (lane & (np.abs(along - middle) < deep + room)).any():
+                continue
+            coming = along[lane & (along > middle)]
+            free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap)
+            if free < TRAVELS[0]:
+                continue
+            start = np.array(moved.center) + middle * ahead + aside * left
+            cost = abs(aside) + (0.0 if broad else _COST_NARROW)
+            yield Push(
+                moved, (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), direction, free, cost
+            )
+
+    def first_that_frees(self, push: Push, rest: Array) -> Push | None:
+        """The push with the least travel after which the target can be taken past the `rest`, or None."""
+        ahead, moved = np.array(push.by), push.moved
+        gap = GAP + moved.sigma
+        for travel in TRAVELS:
+            if travel > push.travel:
+                return None
+            x, y = np.array(moved.center) + travel * ahead
+            if cv2.pointPolygonTest(self.border, (float(x), float(y)), True) < AREA_MARGIN:
+                return None
+            ends = lands(moved, travel * ahead)
+            if all(self._freed(moved, end, rest) for end in ends):
+                cost = push.cost + travel
+                if moved is not self.target:
+                    cost += _COST_NEIGHBOUR
+                    stays = [thing for thing in (self.target, *self.others) if thing is not moved]
+                    within = grasps.reach_about(moved, self.gripper)
+                    if not self.can_be_taken(ends[-1], grasps.obstacles(stays, self.bins, ends[-1].center, within)):
+                        cost += _COST_BLOCKED
+                by = (gap + travel) * ahead
+                return replace(push, by=(float(by[0]), float(by[1])), travel=travel, cost=cost)
+        return None
+
+    def _freed(self, moved: LocatedObject, end: LocatedObject, rest: Array) -> bool:
+        if moved is self.target:
+            return self.can_be_taken(end, rest)
+        return self.can_be_taken(self.target, np.vstack([rest, grasps.dense(end.footprint)]))
+
+    def can_be_taken(self, part: LocatedObject, blocked: Array) -> bool:
+        """Whether the jaws have a free grasp of a part past points of obstacles."""
+        tangent = None if self.tangent is None else self.tangent(part.center)
+        try:
+            grasps.ways_to_take(part, self.gripper, blocked, tangent)
+        except NoClearGrasp:
+            return False
+        return True
+
+
+def _distance(a: LocatedObject, b: LocatedObject) -> float:
+    return math.dist(a.center, b.center)
+
+
+def _free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: Array) -> float:
+    """How far a hull about its centre may go until it comes within `BUMP` of one of the points before it, mm."""
+    across = hull @ left
+    half = np.maximum(np.abs(across).max(), _HALF_WIDE) + BUMP
+    reach = float((hull @ ahead).max())
+    lane = (np.abs(beside) < half) & (along > 0.0)
+    if not lane.any():
+        return math.inf
+    # The front of a hull is its farthest point beside a lane of twice BUMP about each obstacle.
+    closed = np.vstack([hull, hull[:1]])
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    edge = (closed[:-1] * (1.0 - share) + closed[1:] * share).reshape(-1, 2)
+    gaps = np.abs((edge @ left)[None] - beside[lane][:, None])
+    front = np.where(gaps < 2.0 * BUMP, (edge @ ahead)[None], -math.inf).max(axis=1)
+    front = np.where(np.isfinite(front), front, -reach)
+    return float((along[lane] - front).min()) - BUMP
+
+
+def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
+    """How a part pushed by (dx, dy) mm may come to lie: as it was, and turned until a side lies against the box.
+
+    Only the latter for a triangle, which is often pushed in order to be turned.
+    """
+    center = np.array(moved.center)
+    ahead = by / math.hypot(*by)
+    straight = replace(
+        moved, center=(float(center[0] + by[0]), float(center[1] + by[1])), footprint=moved.footprint + by
+    )
+    if moved.shape is Shape.CIRCLE:
+        return (straight,)
+    hull = _hull(moved)
+    edges = np.roll(hull, -1, axis=0) - hull
+    edges = edges[np.linalg.norm(edges, axis=1) > 0.3 * max(moved.size)]
+    if not len(edges):
+        return (straight,)
+    # Outward normals of the sides long enough to come to rest on, for a hull walked counter-clockwise.
+    turns = np.arctan2(-ahead[1], -ahead[0]) - np.arctan2(-edges[:, 0], edges[:, 1])
+    turns = (turns + math.pi) % (2.0 * math.pi) - math.pi
+    turn = float(turns[np.argmin(np.abs(turns))])
+    if abs(turn) > _LARGEST_TURN:
+        return (straight,)
+    c, s = math.cos(turn), math.sin(turn)
+    footprint = (moved.footprint - center) @ np.array([[c, s], [-s, c]]) + center + by
+    period = moved.shape.period
+    yaw = None if moved.yaw is None or period is None else wrap(moved.yaw + turn, period)
+    flush = replace(straight, footprint=footprint, yaw=yaw)
+    return (flush,) if moved.shape is Shape.TRIANGLE else (straight, flush)
+
+
+def _hull(part: LocatedObject) -> Array:
+    """Convex hull of the footprint, counter-clockwise: ndarray of shape (N, 2), mm."""
+    hull = cv2.convexHull(part.footprint.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+    x, y = hull.T
+    signed = float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return hull if signed > 0.0 else hull[::-1]

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.config.arm import load_arm
+from controller.domain import Array, LocatedObject, NudgePlan, Shape
+from controller.errors import NoClearGrasp, PlanError
+from controller.geometry import invert, transform
+from controller.motion import grasps, kinematics, nudges
+from controller.motion.planner import PUSH_SPEED, Planner
+from tests.unit.motion.scene import RX150, at, bins, calibration, part, polygon_gap
+
+OMX = load_arm("open_manipulator_x")
+T_TABLE_BASE = invert(calibration().T_base_table)
+PLANNERS = {arm.name: Planner(arm, calibration(), bins(200.0)[::3]) for arm in (RX150, OMX)}
+
+
+def sector(inner: float, outer: float) -> Array:
+    a = np.radians(np.arange(-50.0, 50.1, 2.5))
+    ring = np.column_stack([np.cos(a), np.sin(a)])
+    return np.vstack([outer * ring, inner * ring[::-1]]) - [230.0, 0.0]
+
+
+AREA = sector(125.0, 285.0)
+
+
+def stuck_pair(gap: float = 4.0) -> tuple[LocatedObject, LocatedObject]:
+    """Two squares side by side about the waist: an arm without wrist roll has no room between them."""
+    first = part(Shape.SQUARE, 38.0, at(200.0, 0.0))
+    x, y = first.center
+    return first, part(Shape.SQUARE, 38.0, (x, y + 38.0 + gap))
+
+
+def boxes(plan: NudgePlan, planner: Planner) -> Array:
+    """Corners (N, 4, 2) of the closed gripper along the push, in `table`, mm."""
+    gripper = planner.arm.gripper
+    along, across = plan.opening / 2.0 + gripper.jaw_size[0], gripper.jaw_size[1] / 2.0
+    corners = np.array([[gripper.jaw_depth, a, b] for a, b in ((-along, -across), (along, -across), (along, across))])
+    corners = np.vstack([corners, [[gripper.jaw_depth, -along, across]]])
+    poses = kinematics.forward(planner.arm, plan.push.positions)
+    return np.array([transform(T_TABLE_BASE @ pose, corners)[:, :2] for pose in poses])
+
+
+def _gap(first: LocatedObject, second: LocatedObject) -> float:
+    return polygon_gap(first.footprint, second.footprint)
+
+
+def counter_clockwise(corners: Array) -> Array:
+    x, y = corners.T
+    return corners if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0.0 else corners[::-1]
+
+
+def test_a_part_beside_another_is_freed_by_a_push() -> None:
+    planner = PLANNERS[OMX.name]
+    ready = np.array(OMX.ready)
+    target, other = stuck_pair()
+    with pytest.raises(NoClearGrasp):
+        planner.plan_pick(target, [other], planner.bins[0], planner.bins[0].center, ready)
+    plan = planner.plan_nudge(target, [other], AREA, ready)
+    assert plan.moved in (target, other)
+    for end in nudges.lands(plan.moved, np.array(plan.by)):
+        first, rest = (end, [other]) if plan.moved is target else (target, [end])
+        planner.plan_pick(first, rest, planner.bins[0], planner.bins[0].center, ready)
+
+
+@given(seed=st.integers(0, 100_000), arm=st.sampled_from([RX150.name, OMX.name]))
+@settings(max_examples=10, deadline=None)
+def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, arm: str) -> None:
+    rng = np.random.default_rng(seed)
+    planner = PLANNERS[arm]
+    things: list[LocatedObject] = []
+    while len(things) < 6:
+        place = at(rng.uniform(160.0, 230.0), rng.uniform(-25.0, 25.0))
+        thing = part((Shape.SQUARE, Shape.HEXAGON)[seed % 2], rng.uniform(34.0, 44.0), place, rng.uniform(0.0, 6.3))
+        clear = (math.dist(place, other.center) > 65.0 or _gap(thing, other) > 1.0 for other in things)
+        if all(clear):
+            things.append(thing)
+    target, others = things[0], things[1:]
+    start = np.array(planner.arm.ready)
+    try:
+        plan = planner.plan_nudge(target, others, AREA, start)
+    except PlanError:
+        return
+    where = start
+    for trajectory in plan.trajectories:
+        assert np.abs(trajectory.positions[0] - where).max() < 1e-6
+        where = trajectory.positions[-1]
+    assert where == pytest.approx(planner.arm.ready)
+    way = transform(T_TABLE_BASE, kinematics.points(planner.arm, plan.push.positions)[:, 3])
+    assert np.ptp(way[:, 2]) < 0.05
+    ahead = np.array(plan.by) / math.hypot(*plan.by)
+    assert np.abs((way[:, :2] - way[0, :2]) @ np.array([-ahead[1], ahead[0]])).max() < 0.05
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() / plan.push.period < 1.001 * PUSH_SPEED
+    for corners in boxes(plan, planner)[::8]:
+        for other in things:
+            if other is not plan.moved:
+                # Outlines are points every 2 mm, so 1 mm may be missed.
+                assert polygon_gap(counter_clockwise(corners), other.footprint) > grasps.MIN_CLEARANCE - 1.0
+    assert polygon_gap(counter_clockwise(boxes(plan, planner)[0]), plan.moved.footprint) > 1.0
+
+
+def test_a_triangle_that_would_be_squeezed_out_is_turned() -> None:
+    planner = PLANNERS[OMX.name]
+    target = part(Shape.TRIANGLE, 40.0, at(200.0, 0.0), math.radians(30.0))
+    with pytest.raises(NoClearGrasp, match="squeeze"):
+        planner.plan_pick(target, (), planner.bins[0], planner.bins[0].center, np.array(OMX.ready))
+    plan = planner.plan_nudge(target, (), AREA, np.array(OMX.ready))
+    assert plan.moved is target
+
+
+def test_nothing_is_pushed_out_of_the_area() -> None:
+    planner = PLANNERS[OMX.name]
+    target, other = stuck_pair()
+    tight = np.array([[-60.0, -25.0], [0.0, -25.0], [0.0, 68.0], [-60.0, 68.0]])
+    with pytest.raises(NoClearGrasp, match="no push"):
+        planner.plan_nudge(target, [other], tight, np.array(OMX.ready))
+
+
+def test_a_part_walled_in_has_no_push() -> None:
+    planner = PLANNERS[RX150.name]
+    target = part(Shape.SQUARE, 36.0, at(200.0, 0.0))
+    x, y = target.center
+    ring = [(x + 41.0 * i, y + 41.0 * j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]
+    around = [part(Shape.SQUARE, 36.0, place) for place in ring]
+    with pytest.raises(NoClearGrasp, match="no push"):
+        planner.plan_nudge(target, around, AREA, np.array(RX150.ready))
+
+
+def test_where_a_push_ends_is_a_side_against_the_box() -> None:
+    askew = part(Shape.SQUARE, 40.0, (0.0, 0.0), math.radians(20.0))
+    straight, flush = nudges.lands(askew, np.array([30.0, 0.0]))
+    assert straight.center == flush.center == pytest.approx((30.0, 0.0))
+    assert straight.yaw == askew.yaw
+    assert flush.footprint[:, 0].min() == pytest.approx(10.0, abs=1e-3)
+    assert (np.abs(flush.footprint[:, 0] - 10.0) < 1e-3).sum() == 2
