@@ -25,6 +25,7 @@ ROOMS = {
     "config": "config",
     "doctor": "doctor",
     "ledger": "ledger",
+    "report": "report",
     "status": "control",
     "start": "control",
     "pause": "control",

@@ -9,17 +9,21 @@ from collections.abc import Mapping, Sequence
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999")
 """Okabe and Ito's colours, which colour-blind people can tell apart."""
 
-_INK, _GRID = "#1b1f24", "#d5dae1"
+GRID = 'stroke="currentColor" stroke-opacity=".18"'
+"""Lines that lie behind, on light pages and dark ones; text has the page's own colour."""
 
 
-def _svg(width: float, height: float, body: Sequence[str], title: str) -> str:
+def svg(width: float, height: float, body: Sequence[str], title: str) -> str:
+    """A drawing of so many px, smaller where there is less room."""
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" font-size="12" '
-        f'font-family="system-ui,sans-serif" fill="{_INK}"><title>{html.escape(title)}</title>{"".join(body)}</svg>'
+        'font-family="system-ui,sans-serif" fill="currentColor">'
+        f"<title>{html.escape(title)}</title>{''.join(body)}</svg>"
     )
 
 
-def _text(x: float, y: float, text: str, anchor: str = "start", size: float = 12) -> str:
+def caption(x: float, y: float, text: str, anchor: str = "start", size: float = 12) -> str:
+    """A line of text; `anchor` is `start`, `middle` or `end`."""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size:g}">{html.escape(text)}</text>'
 
 
@@ -34,11 +38,11 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     return [step * k for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def histogram(values: Sequence[float], title: str, unit: str, bins: int = 40) -> str:
+def histogram(values: Sequence[float], title: str, unit: str, bins: int = 40, width: float = 640.0) -> str:
     """How often values occur; the uppermost thousandth is gathered in the last bar."""
-    width, height, left, bottom = 640.0, 220.0, 44.0, 36.0
+    height, left, bottom = 220.0, 44.0, 36.0
     if not values:
-        return _svg(width, 40, [_text(left, 24, f"{title}: no values")], title)
+        return svg(width, 40, [caption(left, 24, f"{title}: no values")], title)
     ordered = sorted(values)
     low, high = ordered[0], ordered[min(len(ordered) - 1, int(0.999 * len(ordered)))]
     high = high if high > low else low + 1.0
@@ -47,11 +51,11 @@ def histogram(values: Sequence[float], title: str, unit: str, bins: int = 40) ->
         counts[min(bins - 1, max(0, int((value - low) / (high - low) * bins)))] += 1
     top = max(counts)
     across, up = (width - left - 10) / bins, height - bottom - 28
-    body = [_text(left, 16, title, size=13)]
+    body = [caption(left, 16, title, size=13)]
     for value in ticks(0, top, 4):
         y = height - bottom - up * value / top
-        body.append(f'<path d="M{left:.1f} {y:.1f}H{width - 10:.1f}" stroke="{_GRID}"/>')
-        body.append(_text(left - 6, y + 4, f"{value:g}", "end", 11))
+        body.append(f'<path d="M{left:.1f} {y:.1f}H{width - 10:.1f}" {GRID}/>')
+        body.append(caption(left - 6, y + 4, f"{value:g}", "end", 11))
     for index, count in enumerate(counts):
         tall = up * count / top
         x, y = left + index * across, height - bottom - tall
@@ -59,9 +63,9 @@ def histogram(values: Sequence[float], title: str, unit: str, bins: int = 40) ->
         body.append(f'<rect x="{x:.2f}" y="{y:.2f}" width="{wide:.2f}" height="{tall:.2f}" fill="{PALETTE[0]}"/>')
     for value in ticks(low, high):
         x = left + (value - low) / (high - low) * bins * across
-        body.append(_text(x, height - bottom + 16, f"{value:g}", "middle", 11))
-    body.append(_text(width - 10, height - 4, unit, "end", 11))
-    return _svg(width, height, body, title)
+        body.append(caption(x, height - bottom + 16, f"{value:g}", "middle", 11))
+    body.append(caption(width - 10, height - 4, unit, "end", 11))
+    return svg(width, height, body, title)
 
 
 def gantt(rows: Mapping[str, Sequence[tuple[str, float, float]]], title: str) -> str:
@@ -77,14 +81,14 @@ def gantt(rows: Mapping[str, Sequence[tuple[str, float, float]]], title: str) ->
     names = list(dict.fromkeys(bar[0] for bars in rows.values() for bar in bars))
     shade = {name: PALETTE[index % len(PALETTE)] for index, name in enumerate(names)}
     height = 30 + tall * len(rows) + 30
-    body = [_text(left, 16, title, size=13)]
+    body = [caption(left, 16, title, size=13)]
     for value in ticks(0, end, 10):
         x = left + value * scale
-        body.append(f'<path d="M{x:.1f} 26V{height - 26:.1f}" stroke="{_GRID}"/>')
-        body.append(_text(x, height - 10, f"{value:g} s", "middle", 11))
+        body.append(f'<path d="M{x:.1f} 26V{height - 26:.1f}" {GRID}/>')
+        body.append(caption(x, height - 10, f"{value:g} s", "middle", 11))
     for index, (row, bars) in enumerate(rows.items()):
         y = 30 + tall * index
-        body.append(_text(left - 8, y + tall / 2 + 2, row, "end"))
+        body.append(caption(left - 8, y + tall / 2 + 2, row, "end"))
         for name, begin, until in bars:
             x, wide = left + begin * scale, max((until - begin) * scale, 1.0)
             label = f"{name} {until - begin:.3f} s"
@@ -93,8 +97,8 @@ def gantt(rows: Mapping[str, Sequence[tuple[str, float, float]]], title: str) ->
                 f'fill-opacity=".75"><title>{html.escape(label)}</title></rect>'
             )
             if wide > 7.0 * len(name):
-                body.append(_text(x + wide / 2, y + tall / 2, name, "middle", 11))
-    return _svg(width, height, body, title)
+                body.append(caption(x + wide / 2, y + tall / 2, name, "middle", 11))
+    return svg(width, height, body, title)
 
 
 def error_map(
@@ -129,12 +133,12 @@ def error_map(
         for key, errors in squares.items()
     }
     top = max((mean[0] for mean in means.values()), default=1.0) or 1.0
-    body = [_text(pad, 18, title, size=13)]
+    body = [caption(pad, 18, title, size=13)]
     body.append(
-        _text(pad, 36, f"darkest square: {top:.3f} mm; arrows: mean error, {cell:g} mm = {top:.3f} mm", size=11)
+        caption(pad, 36, f"darkest square: {top:.3f} mm; arrows: mean error, {cell:g} mm = {top:.3f} mm", size=11)
     )
     ring = " ".join(f"{u:.1f},{v:.1f}" for u, v in (at(*p) for p in outline))
-    body.append(f'<polygon points="{ring}" fill="none" stroke="{_GRID}" stroke-width="2"/>')
+    body.append(f'<polygon points="{ring}" fill="none" {GRID} stroke-width="2"/>')
     for (i, j), (length, dx, dy, count) in sorted(means.items()):
         u, v = at((i + 1) * cell, (j + 1) * cell)
         label = f"{length:.3f} mm over {count} looks"
@@ -146,7 +150,7 @@ def error_map(
         (u, v), (s, t) = at(x, y), at(x + dx / top * cell, y + dy / top * cell)
         body.append(f'<path d="M{u:.1f} {v:.1f}L{s:.1f} {t:.1f}" stroke="{PALETTE[5]}" stroke-width="1.5"/>')
         body.append(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.6" fill="{PALETTE[5]}"/>')
-    return _svg(width, height, body, title)
+    return svg(width, height, body, title)
 
 
 def matrix(table: Mapping[str, Mapping[str, int]], title: str, corner: str, *, diagonal: bool = True) -> str:

@@ -10,19 +10,10 @@ from typing import Any
 from controller.config.cell import CellConfig
 from controller.insight.charts import error_map, gantt, histogram, matrix
 from controller.insight.evaluation import cycle_durations, median_cycle
+from controller.insight.page import head, table, text
 from controller.insight.report import FATES
 from controller.insight.trial import Record
 
-STYLE = """
-body{font:16px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:70rem;padding:0 1rem;color:#1b1f24}
-h1{font-size:1.5rem}h2{font-size:1.2rem;margin-top:2.2rem}h3{font-size:1rem;margin-bottom:.3rem}
-table{border-collapse:collapse;margin:.4rem 0}
-td,th{padding:.2rem 1rem .2rem 0;border-bottom:1px solid #dde;text-align:left}
-td{font-variant-numeric:tabular-nums}.matrix td,.matrix th{padding:.2rem .7rem;text-align:right}
-.good{color:#0a7d33}.bad{color:#b3261e}svg{max-width:100%;height:auto;display:block;margin:.8rem 0}
-.failure{border-top:1px solid #dde;padding:.6rem 0}.failure img{max-width:48%;border-radius:4px;margin-right:1%}
-code{background:#f2f4f7;padding:.1rem .35rem;border-radius:3px}
-"""
 MOST_FAILURES = 60
 """Failures shown with pictures; the rest is in the JSON beside the report."""
 
@@ -161,34 +152,6 @@ def replay(figures: Mapping[str, Any], seed: int) -> str:
 def _extra(figures: Mapping[str, Any]) -> str:
     config = f" --config {figures['config']}" if figures.get("config") else ""
     return config + (f" --arm {figures['arm']}" if figures.get("arm_given") else "")
-
-
-# --- pieces other reports share ---------------------------------------------------------------------------
-
-
-def head(title: str) -> str:
-    """Beginning of a page."""
-    name = html.escape(title)
-    style = f"<style>{STYLE}</style>"
-    return f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}</title>{style}<h1>{name}</h1>'
-
-
-def table(lines: Sequence[tuple[str, str]], bad: set[str] | frozenset[str] = frozenset()) -> str:
-    """Two columns; names in `bad` are marked."""
-    cells = "".join(
-        f"<tr{' class=bad' if name in bad else ''}><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-        for name, value in lines
-    )
-    return f"<table>{cells}</table>"
-
-
-def text(value: Any) -> str:
-    """A figure for people."""
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {text(part)}" for key, part in value.items())
-    if value is None:
-        return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _rate(rate: Mapping[str, float | None] | None) -> str:

@@ -24,7 +24,7 @@ from controller.domain import Detection, Frame, Shape
 from controller.errors import InputError
 from controller.insight.charts import histogram, matrix
 from controller.insight.evaluation import bounds, confusion
-from controller.insight.evaluation_report import head, table, text
+from controller.insight.page import head, table, text
 from controller.insight.statistics import spread
 from controller.vision.annotate import annotate
 from controller.vision.detect import detect

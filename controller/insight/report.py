@@ -12,14 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.cycle.rig import Look
+from controller.insight.page import head, table, text
 from controller.vision.annotate import annotate
-
-_STYLE = """
-body{font:16px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:70rem;padding:0 1rem;color:#1b1f24}
-h1{font-size:1.5rem}table{border-collapse:collapse}td{padding:.2rem 1.2rem .2rem 0;border-bottom:1px solid #dde}
-td:last-child{font-variant-numeric:tabular-nums}figure{margin:1.5rem 0}img{width:100%;border-radius:6px}
-.good{color:#0a7d33}.bad{color:#b3261e}
-"""
 
 FATES = {
     "sorted": "sorted, by the cell's own proof",
@@ -66,7 +60,7 @@ def side_by_side(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[n
 
 def rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures of a run as (name, value), in words a person reads."""
-    return [(name, _text(report[key])) for key, name in _NAMES.items() if report.get(key) is not None]
+    return [(name, text(report[key])) for key, name in _NAMES.items() if report.get(key) is not None]
 
 
 def page(report: Mapping[str, Any], pictures: Mapping[str, NDArray[np.uint8]]) -> str:
@@ -77,12 +71,7 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, NDArray[np.uint8]]) -
         pictures: BGR pictures by caption.
     """
     title = f"Sorting run: {report.get('mode', '')} {report.get('arm', '')}".strip()
-    lines = [
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>',
-        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1><table>",
-    ]
-    lines += [f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>" for name, value in rows(report)]
-    lines.append("</table>")
+    lines = [head(title), table(rows(report))]
     for fault in report.get("faults", []):
         what = f"{fault['code']} at {fault['at_s']} s: {fault['cause']}"
         lines.append(f'<p class="bad">{html.escape(what)}</p>')
@@ -94,11 +83,3 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, NDArray[np.uint8]]) -
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"
         )
     return "\n".join(lines) + "</html>\n"
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_text(part)}" for key, part in value.items())
-    if value is None:
-        return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)

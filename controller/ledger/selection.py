@@ -12,11 +12,17 @@ TABLES: tuple[Table, ...] = ("runs", "intents", "outcomes", "events", "days")
 # The column that a question is about, table by table; a question that is not here makes no sense there.
 _COLUMNS: dict[Table, dict[str, str]] = {
     "runs": {"since": "coalesce(ended_wall, '9999')", "until": "started_wall", "run_id": "run_id"},
-    "intents": {"since": "wall", "until": "wall", "run_id": "run_id", "label": "label", "bin": "bin"},
+    "intents": {
+        "since": "wall", "until": "wall", "run_id": "run_id", "label": "label", "bin": "bin",
+        "from_s": "at_s", "to_s": "at_s",
+    },
     "outcomes": {
         "since": "wall", "until": "wall", "run_id": "run_id", "label": "label", "bin": "bin", "result": "result",
+        "from_s": "finished_at_s", "to_s": "finished_at_s",
     },
-    "events": {"since": "wall", "until": "wall", "run_id": "run_id", "kind": "kind"},
+    "events": {
+        "since": "wall", "until": "wall", "run_id": "run_id", "kind": "kind", "from_s": "at_s", "to_s": "at_s",
+    },
     "days": {"since": "day", "until": "day", "label": "label", "bin": "bin", "result": "result"},
 }  # fmt: skip
 
@@ -32,6 +38,7 @@ class Selection:
         bin: For this bin.
         result: With this result.
         kind: Events of this kind.
+        from_s, to_s: From and before this time of the cell's clock, s; makes sense within one run.
     """
 
     since: datetime | None = None
@@ -41,6 +48,8 @@ class Selection:
     bin: str | None = None
     result: str | None = None
     kind: str | None = None
+    from_s: float | None = None
+    to_s: float | None = None
 
     def asked(self) -> tuple[str, ...]:
         """Names of what is asked for."""
@@ -70,6 +79,6 @@ class Selection:
 
 
 _WORDS = {"run_id": "run", "label": "class", "result": "outcome"}
-_SIGNS = {"since": ">=", "until": "<"}
+_SIGNS = {"since": ">=", "until": "<", "from_s": ">=", "to_s": "<"}
 
 EVERYTHING = Selection()

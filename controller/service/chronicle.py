@@ -12,17 +12,17 @@ import threading
 from collections import deque
 from contextlib import suppress
 from datetime import timedelta
-from enum import StrEnum
 from typing import Any
 
 from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import PickPlan
 from controller.errors import LedgerError, SorterError
+from controller.ledger.events import OPERATOR, STATE, Doing
 from controller.ledger.sqlite import SqliteLedger
 from controller.ports import Clock, Ledger
 from controller.service.alarms import AlarmLog
-from controller.service.faults import CATALOGUE, fault_code
+from controller.service.faults import CATALOGUE, fault_code, remedy
 
 _log = logging.getLogger(__name__)
 
@@ -31,19 +31,8 @@ _MOST_KEPT = 1000
 """Events kept while nothing can be written; the oldest go first."""
 
 
-class Doing(StrEnum):
-    """What a cell spends its time with."""
-
-    SORTING = "sorting"
-    WAITING = "waiting"
-    """Nothing to pick lies on the table."""
-    HELD = "held"
-    FAULT = "fault"
-    STOPPED = "stopped"
-
-
 class Chronicle(Observer):
-    """Writes events of the kinds `state` and `operator`.
+    """Writes events of the kinds `STATE` and `OPERATOR`.
 
     Args:
         ledger: Takes the events.
@@ -65,7 +54,7 @@ class Chronicle(Observer):
             command: As the control socket calls it.
             uid: User who gave it.
         """
-        self._write("operator", self._clock.now(), command=command, uid=uid)
+        self._write(OPERATOR, self._clock.now(), command=command, uid=uid)
         if command == "reset":
             self._change(Doing.STOPPED, self._clock.now())
 
@@ -77,10 +66,10 @@ class Chronicle(Observer):
         elif self._cause is not None or state is State.FAULT:
             return  # told by `held`, `resumed` and `faulted`, with the reason
         elif state is State.HELD:
-            self._change(Doing.HELD, at, code="paused", cause="an operator has paused")
+            self._change(Doing.PAUSED, at)
         elif state is State.IDLE:
             self._change(Doing.WAITING, at)
-        elif state is State.HOMING or self._doing is Doing.HELD:
+        elif state is State.HOMING or self._doing is Doing.PAUSED:
             self._change(Doing.SORTING, at)
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
@@ -90,7 +79,7 @@ class Chronicle(Observer):
     def held(self, cause: SorterError, at: float) -> None:
         """Note what the cell holds for."""
         self._cause = cause
-        self._change(Doing.HELD, at, code=fault_code(cause), cause=str(cause))
+        self._change(Doing.HELD, at, cause)
 
     def resumed(self, at: float) -> None:
         """Note that it is over."""
@@ -100,12 +89,16 @@ class Chronicle(Observer):
     def faulted(self, error: SorterError, at: float) -> None:
         """Note the fault that has latched."""
         self._cause = None
-        self._change(Doing.FAULT, at, code=fault_code(error), cause=str(error))
+        self._change(Doing.FAULT, at, error)
 
-    def _change(self, doing: Doing, at: float, **details: str) -> None:
-        if doing is not self._doing or details:
+    def _change(self, doing: Doing, at: float, cause: SorterError | None = None) -> None:
+        if cause is not None:
             self._doing = doing
-            self._write("state", at, doing=str(doing), **details)
+            told = {"code": fault_code(cause), "cause": cause.cause, "remedy": remedy(cause)}
+            self._write(STATE, at, doing=str(doing), **told)
+        elif doing is not self._doing:
+            self._doing = doing
+            self._write(STATE, at, doing=str(doing))
 
     def _write(self, kind: str, at: float, **details: Any) -> None:
         with self._lock:

@@ -91,7 +91,7 @@ def test_a_hold_lasts_until_its_cause_is_over(chronicle: Chronicle, ledger: Even
 def test_a_pause_is_a_hold_of_its_own(chronicle: Chronicle, ledger: Events) -> None:
     enter(chronicle, 1.0, State.HOMING, State.CAPTURE, State.HELD)
     enter(chronicle, 4.0, State.CAPTURE, State.DETECT)
-    assert ledger.doings() == [("sorting", 1.0, ""), ("held", 1.0, "paused"), ("sorting", 4.0, "")]
+    assert ledger.doings() == [("sorting", 1.0, ""), ("paused", 1.0, ""), ("sorting", 4.0, "")]
 
 
 def test_a_fault_lasts_until_it_is_reset(chronicle: Chronicle, ledger: Events) -> None:
@@ -101,7 +101,9 @@ def test_a_fault_lasts_until_it_is_reset(chronicle: Chronicle, ledger: Events) -
     chronicle.commanded("reset", 1000)
     kinds = [(kind, details.get("doing", details.get("command"))) for kind, _, details in ledger.events]
     assert kinds == [("state", "sorting"), ("state", "fault"), ("operator", "reset"), ("state", "stopped")]
-    assert ledger.events[1][2]["code"] == "motion_timeout"
+    told = ledger.events[1][2]
+    assert (told["code"], told["cause"]) == ("motion_timeout", "arm: follow: stuck")
+    assert "controller reset" in told["remedy"]  # the catalogue's, where the error has none of its own
 
 
 def test_what_a_full_disk_refuses_is_written_later_in_order(chronicle: Chronicle, ledger: Events) -> None:
