@@ -10,7 +10,7 @@ from typing import Any
 
 from controller.domain import Result
 from controller.insight.evaluation import bounds
-from controller.insight.shift_time import OFF, Run, Span, runs_of, spans_of
+from controller.insight.shift_time import OFF, Run, Span, date, number, runs_of, spans_of
 from controller.insight.statistics import spread
 from controller.ledger.events import OPERATOR, Doing
 from controller.ledger.selection import Selection
@@ -83,7 +83,7 @@ def figures(
         "arm": ", ".join(sorted({str(run.row["arm"]) for run in inside})),
         "targets": len(rows),
         "results": {str(result): results[str(result)] for result in Result},
-        "attempts": sum(int(row["attempts"]) for row in rows),
+        "attempts": int(sum(number(row["attempts"]) for row in rows)),
         "success": bounds(len(done), len(rows)),
         "first_try": bounds(first_try, len(rows)),
         "parts_per_hour": {
@@ -234,7 +234,7 @@ def _changes(
     for kind, text in kinds.items():
         for row in ledger.rows("events", Selection(since=begin, until=until, kind=kind)):
             told = ", ".join(f"{key} {value}" for key, value in row["details"].items())
-            lines.append((datetime.fromisoformat(str(row["wall"])), f"{text}: {told}"))
+            lines.append((date(row["wall"]), f"{text}: {told}"))
     return [
         {"at": at.astimezone(now.tzinfo).isoformat(timespec="seconds"), "what": text}
         for at, text in sorted(lines, key=lambda line: line[0])
@@ -258,5 +258,5 @@ def _counted_by_day(ledger: LedgerReader, since: datetime, until: datetime) -> d
     """Targets by result on days of the period whose single records are gone."""
     counts: Counter[str] = Counter()
     for row in ledger.rows("days", Selection(since=since, until=until)):
-        counts[str(row["result"])] += int(row["targets"])
+        counts[str(row["result"])] += int(number(row["targets"]))
     return dict(counts)

@@ -6,6 +6,7 @@ the time of day, whatever somebody did to the computer's date; in simulation it 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -39,13 +40,16 @@ class Run:
         """Its number."""
         return int(self.row["run_id"])
 
-    def at(self, at_s: float) -> datetime:
+    def at(self, at_s: object) -> datetime:
         """A time of the cell's clock on the calendar."""
-        return self.begin + timedelta(seconds=at_s - float(self.row["started_at_s"]))
+        try:
+            return self.begin + timedelta(seconds=number(at_s) - number(self.row["started_at_s"]))
+        except OverflowError:
+            return self.begin
 
     def within(self, since: datetime, until: datetime) -> Selection:
         """Records of this run in a period."""
-        start = float(self.row["started_at_s"])
+        start = number(self.row["started_at_s"])
         return Selection(
             run_id=self.run_id,
             from_s=start + (since - self.begin).total_seconds(),
@@ -85,12 +89,12 @@ def runs_of(ledger: LedgerReader, now: datetime) -> list[Run]:
     """
     found = []
     for row in ledger.rows("runs"):
-        run = Run(row, _date(row["started_wall"]), now)
+        run = Run(row, date(row["started_wall"]), now)
         last = row["ended_at_s"]
         if last is None:
             last = _last_heard_of(ledger, run)
         goes_on = row["end_reason"] is None and row["mode"] == "real"
-        found.append(run if goes_on else replace(run, end=max(run.begin, run.at(_number(last)))))
+        found.append(run if goes_on else replace(run, end=max(run.begin, run.at(last))))
     return found
 
 
@@ -117,7 +121,7 @@ def _spans_within(ledger: LedgerReader, run: Run, begin: datetime, end: datetime
     for row in ledger.rows("events", before, last=1):
         present = _span(row["details"], begin, end)
     for row in ledger.rows("events", replace(run.within(begin, end), kind=STATE)):
-        at = run.at(_number(row["at_s"]))
+        at = run.at(row["at_s"])
         if at > present.begin:
             yield replace(present, end=at)
         present = _span(row["details"], at, end)
@@ -144,13 +148,13 @@ def _joined(spans: Sequence[Span]) -> list[Span]:
 
 def _last_heard_of(ledger: LedgerReader, run: Run) -> float:
     columns: dict[Table, str] = {"intents": "at_s", "outcomes": "finished_at_s", "events": "at_s"}
-    last = [float(run.row["started_at_s"])]
+    last = [number(run.row["started_at_s"])]
     for table, column in columns.items():
-        last += [_number(row[column]) for row in ledger.rows(table, Selection(run_id=run.run_id), last=1)]
+        last += [number(row[column]) for row in ledger.rows(table, Selection(run_id=run.run_id), last=1)]
     return max(last)
 
 
-def _date(wall: object) -> datetime:
+def date(wall: object) -> datetime:
     """A date of the record; the beginning of the calendar when it is none."""
     try:
         found = datetime.fromisoformat(str(wall))
@@ -159,5 +163,6 @@ def _date(wall: object) -> datetime:
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
+def number(value: object) -> float:
+    """A figure of the record; 0 where somebody has put something else."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else 0.0

@@ -12,7 +12,7 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 from urllib.parse import quote
 
 from controller.domain import Result
@@ -67,7 +67,7 @@ class LedgerReader:
 
     def rows(
         self, table: Table, selection: Selection = EVERYTHING, last: int | None = None
-    ) -> Generator[dict[str, object], None, None]:
+    ) -> Generator[dict[str, Any], None, None]:
         """The records of a table, oldest first; `days` counts what retention took away.
 
         Args:
@@ -91,7 +91,7 @@ class LedgerReader:
             cursor.execute(f"{ask} ORDER BY {_KEY[table]}", values)
             names = [column[0] for column in cursor.description]
             for values_ in cursor:
-                row = dict(zip(names, values_, strict=True))
+                row: dict[str, Any] = dict(zip(names, values_, strict=True))
                 if "details" in row:
                     row["details"] = _details(row["details"])
                 yield row
