@@ -39,12 +39,28 @@ def _torn(image: Image) -> Image:
     return out
 
 
+def _moved(image: Image) -> Image:
+    matrix = np.array([[1.0, 0.0, 9.0], [0.0, 1.0, -5.0]])
+    size = image.shape[1], image.shape[0]
+    moved = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return moved.astype(np.uint8, copy=False)
+
+
+def _covered(image: Image) -> Image:
+    out = image.copy()
+    out[: 3 * len(out) // 4] = (90, 120, 180)
+    return out
+
+
 PICTURE_FAULTS: Mapping[str, Callable[[Image], Image]] = {
     "black": np.zeros_like,
     "overexposed": lambda image: cv2.convertScaleAbs(image, alpha=10.0).astype(np.uint8, copy=False),
     "dimmed": lambda image: cv2.convertScaleAbs(image, alpha=0.5).astype(np.uint8, copy=False),
+    "dimming": lambda image: cv2.convertScaleAbs(image, alpha=0.8).astype(np.uint8, copy=False),
     "blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 6.0).astype(np.uint8, copy=False),
     "torn": _torn,
+    "moved": _moved,
+    "covered": _covered,
 }
 _KINDS = frozenset({"lost", "stalled", "frozen", *PICTURE_FAULTS})
 

@@ -6,6 +6,10 @@ What a device can tell about itself (loss, stall, age) is the driver's affair; h
 
 from __future__ import annotations
 
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +17,9 @@ from numpy.typing import NDArray
 from controller.domain import Frame
 from controller.errors import FrameStale, PictureUnusable
 from controller.ports import Camera, Clock
-from controller.vision.scenery import Scenery, trouble
+from controller.vision.scenery import Mask, Scenery, drift, trouble
+
+_log = logging.getLogger(__name__)
 
 # Of 255: a lit table is brighter than this at its brightest hundredth, the noise of a covered lens is not.
 DARK = 32
@@ -24,6 +30,9 @@ MOST_CLIPPED = 0.5
 # Rows that an incomplete JPEG leaves at least, one block high, in the middle grey of missing coefficients.
 TORN_ROWS = 16
 _GREY = (124, 132)
+# A cable that damages more than this part of the latest pictures will soon damage all.
+MOST_TORN = 0.05
+_LATEST = 100
 # Every so manieth pixel in both directions is enough to judge by, and a sixteenth of the work.
 _STEP = 4
 
@@ -38,14 +47,38 @@ class WatchedCamera:
     Attributes:
         torn: Pictures passed over because a part was missing.
         scenery: What must look the same in every picture; None: nothing is known yet.
+        concerns: What is not yet a reason to hold, by code of the fault catalogue: its cause in words.
     """
 
     def __init__(self, camera: Camera, clock: Clock) -> None:
         self._camera = camera
         self._clock = clock
         self._last: NDArray[np.uint8] | None = None
+        self._still: Mask | None = None
+        self._learnt: Callable[[NDArray[np.uint8]], None] = lambda image: None
+        self._latest: deque[bool] = deque(maxlen=_LATEST)
         self.torn = 0
         self.scenery: Scenery | None = None
+        self.concerns: Mapping[str, str] = {}
+
+    def watch_scenery(
+        self,
+        still: Mask,
+        reference: NDArray[np.uint8] | None = None,
+        learnt: Callable[[NDArray[np.uint8]], None] = lambda image: None,
+    ) -> None:
+        """Compare every picture's scenery with a reference from now on.
+
+        A scenery that gives nothing to hold on to is logged, and not watched.
+
+        Args:
+            still: ndarray of shape (H, W), dtype uint8: non-zero where nothing is supposed to change.
+            reference: Picture taken when all was well; None: the next sound one.
+            learnt: Told the picture that has become the reference.
+        """
+        self._still, self._learnt, self.scenery = still, learnt, None
+        if reference is not None:
+            self._learn(reference)
 
     def open(self) -> None:
         """Open the camera. The last picture is still known: a frozen one does not become new by opening again."""
@@ -73,7 +106,9 @@ class WatchedCamera:
                     raise
                 cause = "the lower part of every picture is missing"
                 raise PictureUnusable(error.device, "look", "torn", cause, "check the cable and the USB hub") from error
-            if not is_torn(frame.image):
+            torn = is_torn(frame.image)
+            self._latest.append(torn)
+            if not torn:
                 self._judge(frame)
                 return frame
             self.torn += 1
@@ -105,8 +140,29 @@ class WatchedCamera:
                 "the camera is frozen: the picture equals the last one to the bit",
                 "unplug it and plug it in again",
             )
-        if self.scenery is not None and (found := trouble(self.scenery.compare(frame.image))) is not None:
-            raise PictureUnusable(frame.source, "look", *found)
+        concerns: dict[str, str] = {}
+        damaged = sum(self._latest) / _LATEST
+        if damaged > MOST_TORN:
+            concerns["pictures_damaged"] = f"{damaged:.0%} of the latest pictures lack their lower part"
+        if self.scenery is not None:
+            change = self.scenery.compare(frame.image)
+            if (found := trouble(change)) is not None:
+                raise PictureUnusable(frame.source, "look", *found)
+            if (words := drift(change)) is not None:
+                concerns["light_drifting"] = words
+        elif self._still is not None:
+            self._learn(frame.image)
+        self.concerns = concerns
+
+    def _learn(self, image: NDArray[np.uint8]) -> None:
+        assert self._still is not None
+        try:
+            self.scenery = Scenery(image, self._still)
+        except ValueError as error:
+            _log.warning("nobody will notice a move of the camera: %s", error)
+            self._still = None
+        else:
+            self._learnt(image)
 
 
 def is_black(sample: NDArray[np.uint8]) -> bool:
