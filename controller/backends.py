@@ -27,6 +27,7 @@ from controller.ports import Arm, Camera, Clock, Presenter, Truth
 from controller.vision.watch import WatchedCamera
 
 if TYPE_CHECKING:
+    from drivers.arm.bus import BusStatistics
     from drivers.camera.listing import CameraListing
     from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
@@ -35,6 +36,11 @@ if TYPE_CHECKING:
 
 _MINIATURE = (640, 360)
 """Size of a film's pictures of the cell, px."""
+
+_ENOUGH_ANSWERS, _MOST_FAILED = 500, 0.01
+"""Answers of servos from which a share is told, and the share that failed from which somebody should look: a sound
+line loses one of ten thousand.
+"""
 
 
 class Mode(StrEnum):
@@ -91,6 +97,7 @@ class Devices:
         on_step: Has something called before every step of simulated time, with the step's length (s); None where
             the clock is not simulated here.
         touches: When (s) the arm touched what it should not touch, and what touched what; where that can be known.
+        concerns: What is not in order and no reason to stop yet: causes in words by code of the fault catalogue.
         observers: Watchers a set needs for itself.
         script: Lets a script's faults happen, where one was given.
         closers: Called in reverse order by `close`.
@@ -107,6 +114,7 @@ class Devices:
     miniature: Callable[[], NDArray[np.uint8]] | None = None
     on_step: Callable[[Callable[[float], None]], None] | None = None
     touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    concerns: Callable[[], Mapping[str, str]] = dict
     observers: tuple[Observer, ...] = ()
     script: FaultDirector | None = None
     closers: list[Callable[[], None]] = field(default_factory=list)
@@ -169,7 +177,8 @@ def real_devices(config: CellConfig, arm: ArmDescription, options: BackendOption
         fps=config.camera.frames_per_second,
         settings=config.camera.settings,
     )
-    return Devices(WatchedCamera(camera, clock), DynamixelArm(arm, SerialStream(config.arm.port), clock), clock)
+    watched, driver = WatchedCamera(camera, clock), DynamixelArm(arm, SerialStream(config.arm.port), clock)
+    return Devices(watched, driver, clock, concerns=_Concerns(watched, driver.bus.statistics))
 
 
 def replay_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
@@ -236,10 +245,12 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
     if options.level is Level.DYNAMIC:
         # Pictures without noise may equal one another to the bit when nothing has moved.
         camera = WatchedCamera(camera, cell.clock)
+    driver = DynamixelArm(arm, BusStream(bus), cell.clock)
     return Devices(
         camera,
-        DynamixelArm(arm, BusStream(bus), cell.clock),
+        driver,
         cell.clock,
+        concerns=_Concerns(camera, driver.bus.statistics),
         presenter=cell.presenter,
         truth=_CellTruth(cell),
         clear_table=cell.set_aside,
@@ -251,6 +262,27 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         observers=() if script is None else (_Prompter(script),),
         script=script,
     )
+
+
+class _Concerns:
+    """What camera and servo bus say is not in order, asked once a look."""
+
+    def __init__(self, camera: Camera, bus: BusStatistics) -> None:
+        self._camera = camera
+        self._bus = bus
+        self._answered = self._failed = 0
+        self._share = 0.0
+
+    def __call__(self) -> Mapping[str, str]:
+        found = dict(self._camera.concerns) if isinstance(self._camera, WatchedCamera) else {}
+        answered, failed = self._bus.replies, self._bus.timeouts
+        total = answered + failed - self._answered - self._failed
+        if total >= _ENOUGH_ANSWERS:
+            self._share = (failed - self._failed) / total
+            self._answered, self._failed = answered, failed
+        if self._share > _MOST_FAILED:
+            found["bus_noisy"] = f"{self._share:.1%} of the servos' answers were lost or damaged"
+        return found
 
 
 class _Prompter(Observer):

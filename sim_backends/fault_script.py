@@ -26,6 +26,10 @@ STATES = ("HOMING", "CAPTURE", "DETECT", "LOCALIZE", "PICK", "PLACE", "IDLE", "H
 FAILPOINTS = tuple(f"{when}_{what}" for what in ("intend", "conclude") for when in ("before", "after"))
 _GARBAGE = 0.05
 """Share of the servos' answers that come damaged: a loose plug, not a cut cable."""
+_NOISE = 0.02
+"""Share of them on a line that is merely bad."""
+_WEAK_SUPPLY = 10.3
+"""V: the servos still work, and warn of nothing."""
 
 _CAMERA = {
     "camera_lost": "lost",
@@ -34,9 +38,16 @@ _CAMERA = {
     "picture_black": "black",
     "picture_overexposed": "overexposed",
     "picture_torn": "torn",
+    "picture_light": "dimmed",
+    "picture_soft": "blurred",
+    "picture_moved": "moved",
+    "picture_covered": "covered",
+    "light_drifting": "dimming",
+    "pictures_damaged": "ragged",
 }
 _SERVO = {
     "servo_overload": Fault.OVERLOAD,
+    "servo_shock": Fault.SHOCK,
     "servo_overheat": Fault.OVERHEAT,
     "servo_undervoltage": Fault.UNDERVOLTAGE,
     "servo_encoder": Fault.ENCODER,
@@ -44,8 +55,8 @@ _SERVO = {
     "bus_timeout": Fault.SILENT,
 }
 FAULTS = frozenset({
-    *_CAMERA, *_SERVO, "bus_corrupt", "bus_lost", "motion_timeout", "part_held", "part_lost", "grasp_missed",
-    "ledger_unwritable", "power_lost",
+    *_CAMERA, *_SERVO, "bus_corrupt", "bus_noisy", "bus_lost", "supply_low", "motion_timeout", "part_held",
+    "part_lost", "grasp_missed", "ledger_unwritable", "power_lost",
 })  # fmt: skip
 """What can be scripted, by the codes of the fault catalogue."""
 
@@ -197,9 +208,12 @@ class FaultDirector:
         elif name in _SERVO:
             bus.strike(_SERVO[name], servo)
             self._at(end, bus.servo(servo).heal)
-        elif name == "bus_corrupt":
-            bus.faults.set_rate(Fault.CORRUPT, _GARBAGE)
+        elif name in ("bus_corrupt", "bus_noisy"):
+            bus.faults.set_rate(Fault.CORRUPT, _GARBAGE if name == "bus_corrupt" else _NOISE)
             self._at(end, lambda: bus.faults.set_rate(Fault.CORRUPT, 0.0))
+        elif name == "supply_low":
+            bus.feed(_WEAK_SUPPLY)
+            self._at(end, bus.heal)
         elif name == "bus_lost":
             bus.strike(Fault.DISCONNECT)
             self._at(end, lambda: setattr(bus, "connected", True))

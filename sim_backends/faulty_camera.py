@@ -23,7 +23,7 @@ class CameraFault:
 
     Attributes:
         kind: `lost` (gone: no frame, and opening fails), `stalled` (no frame comes), `frozen` (the last picture
-            comes again and again), or a name of `PICTURE_FAULTS`.
+            comes again and again), `ragged` (two of three pictures are torn), or a name of `PICTURE_FAULTS`.
         begins: s of the cell's clock.
         ends: s of the cell's clock.
     """
@@ -62,7 +62,7 @@ PICTURE_FAULTS: Mapping[str, Callable[[Image], Image]] = {
     "moved": _moved,
     "covered": _covered,
 }
-_KINDS = frozenset({"lost", "stalled", "frozen", *PICTURE_FAULTS})
+_KINDS = frozenset({"lost", "stalled", "frozen", "ragged", *PICTURE_FAULTS})
 
 
 class FaultyCamera:
@@ -119,6 +119,8 @@ class FaultyCamera:
         for kind, spoil in PICTURE_FAULTS.items():
             if self._due(kind, frame.captured_at):
                 image = spoil(image)
+        if self._due("ragged", frame.captured_at) and frame.frame_id % 3:
+            image = _torn(image)
         image.setflags(write=False)
         self._shown = image
         return dataclasses.replace(frame, image=image)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from controller.config.cell import CellConfig
@@ -62,10 +62,20 @@ class Observer:
     def faulted(self, error: SorterError, at: float) -> None:
         """The first fault latched."""
 
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Something is not in order, and the cell goes on; `code` is the fault catalogue's."""
+
+    def eased(self, code: str, at: float) -> None:
+        """What was warned of is over."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Devices, knowledge and rules of one cell."""
+    """Devices, knowledge and rules of one cell.
+
+    Attributes:
+        concerns: What the devices say is not in order yet no reason to hold: causes by code of the fault catalogue.
+    """
 
     config: CellConfig
     camera: Camera
@@ -78,3 +88,4 @@ class Rig:
     observers: tuple[Observer, ...] = ()
     confirm: Callable[[PickPlan], bool] = field(default=lambda plan: True)
     classes: Taught | None = None
+    concerns: Callable[[], Mapping[str, str]] = field(default=dict)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.cycle import proof
+from controller.cycle.concerns import GOOD_SUPPLY, LOW_SUPPLY, SLOW, Concerns
 from controller.cycle.holding import RELEASES, SLICE, Hold
 from controller.cycle.machine import CellMachine, State
 from controller.cycle.rig import Look, Rig
@@ -95,6 +96,8 @@ class Sorter:
         self._held: Hold | None = None
         self._go_on = threading.Event()
         self._unwritten: list[Outcome] = []
+        self._concerns = Concerns(rig)
+        self._planner = rig.planner
         self._picks_from_look = 0
         self._plane = rig.calibration.plane(_typical_half_height(rig))
         self._region: NDArray[np.uint8] | None = None
@@ -166,7 +169,7 @@ class Sorter:
             self._holding = None
             self._conclude(target, Result.INDETERMINATE, "it stuck to the jaws over the bin, until somebody helped")
             self._overcome(PartHeld)
-        self._follow(self.rig.planner.home(state.positions))
+        self._follow(self._planner.home(state.positions))
         return "homed"
 
     def _capture(self) -> str:
@@ -209,6 +212,7 @@ class Sorter:
         self._others = (*named, *found.in_the_way)
         self._queue = self._candidates(named)
         self.left = len(named) + len(found.refused)
+        self._note_concerns(named)
         return "located" if self._queue else "emptied"
 
     def _pick(self) -> str:
@@ -233,7 +237,7 @@ class Sorter:
         for observer in self.rig.observers:
             observer.attempted(plan, target.attempts)
         self._holding = target
-        out_of_bin = self.rig.planner.rise_time(plan.approach, self._climb) if self._climb else 0.0
+        out_of_bin = self._planner.rise_time(plan.approach, self._climb) if self._climb else 0.0
         self._retreat = None
         arrival = self._follow(plan.approach, plan.grasp.opening, out_of_bin)
         refusal = proof.obstruction(arrival, plan.approach)
@@ -248,7 +252,7 @@ class Sorter:
         for observer in self.rig.observers:
             observer.failed(plan, refusal)
         self._grip(plan.grasp.opening)
-        self._follow(self.rig.planner.home(self.rig.arm.state().positions))
+        self._follow(self._planner.home(self.rig.arm.state().positions))
         if target.attempts >= self.rig.config.cycle.attempts:
             self._conclude(target, Result.GRASP_MISSED, refusal)
         return "missed"
@@ -316,6 +320,17 @@ class Sorter:
         self.rig.clock.sleep(SLICE)
         return "held_on"
 
+    def _note_concerns(self, seen: Sequence[LocatedObject]) -> None:
+        """Warn of what is not in order, and move slowly while the supply is weak."""
+        found = dict(self.rig.concerns())
+        if waiting := self._stock.waited_for(seen):
+            found["bin_full"] = "; ".join(f"{name} is full, {count} parts wait" for name, count in waiting.items())
+        voltage, weak = self.rig.arm.state().voltage, "supply_low" in self._concerns
+        if voltage is not None and voltage < (GOOD_SUPPLY if weak else LOW_SUPPLY):
+            found["supply_low"] = f"{voltage:.1f} V at the servos"
+        self._concerns.update(found)
+        self._planner = self.rig.planner.slowed(SLOW) if "supply_low" in found else self.rig.planner
+
     # --- choosing -------------------------------------------------------------------------------------
 
     def _candidates(self, located: list[LocatedObject]) -> list[LocatedObject]:
@@ -352,7 +367,7 @@ class Sorter:
             others = tuple(other for other in self._others if other.detection is not thing.detection)
             self.rig.clock.charge(self.rig.config.cycle.planning_budget_s)
             try:
-                plan = self.rig.planner.plan_pick(
+                plan = self._planner.plan_pick(
                     thing, others, bin_, self._stock.drop_point(bin_), start,
                     pile=self._stock.pile(bin_), view=self._view, climb=self._climb,
                 )  # fmt: skip
@@ -369,7 +384,7 @@ class Sorter:
 
     def _view_is_clear(self) -> bool:
         """Whether the camera sees the work area past the arm as it stands over a bin."""
-        return self.rig.planner.leaves_view_clear(self.rig.arm.state().positions, self._view)
+        return self._planner.leaves_view_clear(self.rig.arm.state().positions, self._view)
 
     def _step_back(self) -> None:
         """Carry out the retreat that is due since the last part was let go, if it is."""
@@ -428,7 +443,7 @@ class Sorter:
         if not self._energised:
             return
         self.rig.arm.clear_stop()
-        if self.rig.arm.follow(self.rig.planner.park(self.rig.arm.state().positions)).finished:
+        if self.rig.arm.follow(self._planner.park(self.rig.arm.state().positions)).finished:
             self.rig.arm.relax()
 
     def _settle(self, reason: str) -> None:

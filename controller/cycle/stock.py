@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 
 from controller.config.cell import CellConfig
 from controller.domain import Bin, LocatedObject, Point
@@ -31,11 +32,17 @@ class Stock:
 
     def bin_for(self, thing: LocatedObject) -> Bin | None:
         """The bin an object belongs in, or None when it is to lie or its bin is full."""
+        bin_ = self._wanted(thing)
+        return bin_ if bin_ is not None and self._filled[bin_.name] < bin_.capacity else None
+
+    def waited_for(self, things: Iterable[LocatedObject]) -> dict[str, int]:
+        """Full bins by name, and how many of these objects wait for each."""
+        wanted = [bin_ for bin_ in map(self._wanted, things) if bin_ is not None]
+        return dict(Counter(bin_.name for bin_ in wanted if self._filled[bin_.name] >= bin_.capacity))
+
+    def _wanted(self, thing: LocatedObject) -> Bin | None:
         name = self._config.bin_for(thing.shape, thing.detection.label, thing.size[0], thing.detection.colour)
-        for bin_ in self._config.bin_values():
-            if bin_.name == name and self._filled[name] < bin_.capacity:
-                return bin_
-        return None
+        return next((bin_ for bin_ in self._config.bin_values() if bin_.name == name), None)
 
     def drop_point(self, bin_: Bin) -> Point:
         """Where in a bin the next part is let go, (x, y) in `table`, mm."""

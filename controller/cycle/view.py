@@ -17,7 +17,7 @@ MARGIN_MM = 40.0
 _REACH_MM = 80.0
 """Parts on the border of the work area, their shadows and the jaws above them change the picture this far outside."""
 _WALL_MM = 15.0
-"""A bin is looked at with so much of the table around it: its walls' outer edges are the best there is to hold on to."""
+"""A bin is looked at with so much of the table around it: the outer edges of its walls are the best to hold on to."""
 
 
 def region_mask(config: CellConfig, calibration: CellCalibration, size: tuple[int, int]) -> NDArray[np.uint8]:

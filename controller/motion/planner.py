@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
+from typing import Self
 
 import numpy as np
 
@@ -66,6 +68,12 @@ class Planner:
         self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
         self._postures = Postures(arm, self.gate)
         self._clear = self._postures.clear
+
+    def slowed(self, share: float) -> Self:
+        """The same planner at a share of its speed, in (0, 1]."""
+        slow = copy(self)
+        slow.speed = share * self.speed
+        return slow
 
     # --- what the cycle asks for --------------------------------------------------------------------------
 

@@ -39,6 +39,8 @@ class Action(StrEnum):
 
     GOES_ON = "goes on"
     """What failed is tried again within the step, or left out; nothing else changes."""
+    WARNED = "warned"
+    """An alarm says so; the cell goes on, more slowly where that helps."""
     RETRIED = "retried"
     """The part is looked for and tried again, and left alone or counted as lost after the last attempt."""
     SUSPENDED = "suspended"
@@ -98,6 +100,10 @@ _ROWS: tuple[Fault, ...] = (
     Fault("picture_moved", "camera was moved", "the still scenery has shifted by more than 2 px", _A.HELD,
           "put it back, or calibrate again"),
     Fault("picture_covered", "view covered", "little of the still scenery is to be seen", _A.HELD, "clear the view"),
+    Fault("light_drifting", "light is changing", "brightness of the still scenery, halfway to where it is held for",
+          _A.WARNED, "see what has changed; shade the cell or light it better"),
+    Fault("pictures_damaged", "damaged pictures", "more than 5 % of the latest hundred lack their lower part; each is "
+          "passed over", _A.WARNED, "check cable and USB hub"),
     # --- parts ---
     Fault("part_unknown", "unknown or doubtful part", "low confidence, no rule, refused by localisation", _A.GOES_ON,
           "sort it by hand, or teach it"),
@@ -107,14 +113,17 @@ _ROWS: tuple[Fault, ...] = (
           "look for it on the table and the floor"),
     Fault("part_held", "part still held after placing", "the jaws, opened three times, stay at its width", _A.HELD,
           "take it out of the jaws, then controller resume"),
-    Fault("bin_full", "bin full", "as many parts as it takes were put in", _A.SUSPENDED, "empty the bin"),
+    Fault("bin_full", "bin full", "as many parts as it takes were put in, and more of its kind lie there",
+          _A.SUSPENDED, "empty the bin, then controller bins emptied NAME"),
     # --- arm ---
     Fault("bus_timeout", "servo does not answer", "five cycles in a row, or every retry of a read", _A.STOPPED,
           "check its cable and the 12 V supply; " + _REDO),
     Fault("bus_corrupt", "garbage on the bus", "CRC, length or ID of answers; never acted on, read again", _A.GOES_ON,
-          "check cables and termination when it is frequent"),
+          "check cables and plugs when it is frequent"),
+    Fault("bus_noisy", "many lost or damaged answers", "more than 1 % of the servos' latest answers", _A.WARNED,
+          "check cables and plugs"),
     Fault("bus_lost", "bus adapter unplugged", "the port fails; the servos' watchdog has stopped them", _A.STOPPED,
-          "plug it in, then start the program again"),
+          "plug it in; " + _REDO),
     Fault("bus_busy", "bus is used by another process", "exclusive access is refused", _A.REFUSED,
           "end the other program"),
     Fault("bus_refused", "servo missing, double or of another model", "inventory at start; refused writes", _A.REFUSED,
@@ -128,6 +137,8 @@ _ROWS: tuple[Fault, ...] = (
           "let it cool for 20 minutes; " + _REDO),
     Fault("servo_undervoltage", "supply voltage out of range", "Hardware_Error_Status bit 0", _A.STOPPED,
           "check the 12 V supply; " + _REDO),
+    Fault("supply_low", "supply voltage low", "below 10.8 V at the servos; the arm moves at half its speed", _A.WARNED,
+          "check the 12 V supply and its wiring"),
     Fault("servo_rebooted", "servo has restarted", "its RAM differs from what was written before every move",
           _A.STOPPED, "check the supply for interruptions; " + _REDO),
     Fault("motion_timeout", "joint blocked", "it strays from its path, or neither arrives nor stops", _A.STOPPED,
@@ -205,10 +216,10 @@ def remedy(error: SorterError) -> str:
 
 
 class FaultRecord(Observer):
-    """What held or stopped a run, as its report lists it.
+    """What was warned of, held or stopped a run, as its report lists it.
 
     Attributes:
-        faults: `code`, `at_s` (since the work began), `action`, `cause`, and for holds `lasted_s` once they are over.
+        faults: `code`, `at_s` (since the work began), `action`, `cause`, and `lasted_s` once it is over.
     """
 
     def __init__(self) -> None:
@@ -232,6 +243,17 @@ class FaultRecord(Observer):
     def faulted(self, error: SorterError, at: float) -> None:
         """Note the fault that latched."""
         self._add(error, at, Action.STOPPED)
+
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Note what was warned of."""
+        at_s = round(at - (self._began or 0.0), 3)
+        self.faults.append({"code": code, "at_s": at_s, "action": str(CATALOGUE[code].action), "cause": cause})
+
+    def eased(self, code: str, at: float) -> None:
+        """Note how long it lasted."""
+        for fault in self.faults:
+            if fault["code"] == code and "lasted_s" not in fault:
+                fault["lasted_s"] = round(at - (self._began or 0.0) - fault["at_s"], 3)
 
     def _add(self, error: SorterError, at: float, action: Action) -> None:
         at_s = round(at - (self._began or 0.0), 3)

@@ -22,7 +22,7 @@ from controller.domain import Outcome, PickPlan, Result
 from controller.errors import SorterError
 from controller.service.alarms import Alarm, AlarmLog
 from controller.service.controls import Refused, Status
-from controller.service.faults import fault_code, remedy
+from controller.service.faults import CATALOGUE, fault_code, remedy
 from controller.service.packml import Pending, packml
 
 _BEAT = 1.0  # s between two signs of life while waiting for a start
@@ -292,6 +292,14 @@ class Operation(Observer):
         self.alarm_log.raise_(fault_code(error), error.cause, remedy(error))
         if at_rest:
             self._enter(State.FAULT)
+
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Raise the alarm of what is not in order; the cell goes on."""
+        self.alarm_log.raise_(code, cause, CATALOGUE[code].remedy)
+
+    def eased(self, code: str, at: float) -> None:
+        """Its alarm is over."""
+        self.alarm_log.clear(code)
 
     # --- inside ---------------------------------------------------------------------------------------
 

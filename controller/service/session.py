@@ -41,6 +41,7 @@ from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
+from controller.service.scenery import watch_scenery
 from controller.service.self_calibration import calibrate_cell
 from controller.service.standing_service import Service
 from controller.service.taught_classes import taught_classes
@@ -131,6 +132,7 @@ class Session:
             if rehearsal is Rehearsal.DRY:
                 # The arm that records is as it is described: none of its joints is mounted askew.
                 calibration = replace(calibration, joint_offsets={})
+            watch_scenery(devices.camera, self._config, calibration, folder if real else None)
             ledger = stack.enter_context(SqliteLedger(folder / "ledger.db", clock=devices.clock))
             statistics, album = Statistics(self._config, devices.truth), Album(devices.portrait)
             faults = FaultRecord()
@@ -149,6 +151,7 @@ class Session:
                 observers=(*devices.observers, *own, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
                 classes=taught,
+                concerns=devices.concerns,
             )
             ledger.begin_run(
                 software_version=__version__,

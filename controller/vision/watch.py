@@ -30,7 +30,7 @@ MOST_CLIPPED = 0.5
 # Rows that an incomplete JPEG leaves at least, one block high, in the middle grey of missing coefficients.
 TORN_ROWS = 16
 _GREY = (124, 132)
-# A cable that damages more than this part of the latest pictures will soon damage all.
+# A cable that damages more than this part of the latest pictures, and more than two, will soon damage all.
 MOST_TORN = 0.05
 _LATEST = 100
 # Every so manieth pixel in both directions is enough to judge by, and a sixteenth of the work.
@@ -141,9 +141,9 @@ class WatchedCamera:
                 "unplug it and plug it in again",
             )
         concerns: dict[str, str] = {}
-        damaged = sum(self._latest) / _LATEST
-        if damaged > MOST_TORN:
-            concerns["pictures_damaged"] = f"{damaged:.0%} of the latest pictures lack their lower part"
+        damaged = sum(self._latest)
+        if damaged > max(2, MOST_TORN * len(self._latest)):
+            concerns["pictures_damaged"] = f"{damaged} of the latest {len(self._latest)} pictures lack their lower part"
         if self.scenery is not None:
             change = self.scenery.compare(frame.image)
             if (found := trouble(change)) is not None:

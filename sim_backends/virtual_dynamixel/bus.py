@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from sim_backends.plant import Plant
 from sim_backends.virtual_dynamixel.faults import Fault, FaultInjector
-from sim_backends.virtual_dynamixel.health import ERROR_ENCODER, ERROR_OVERHEAT, ERROR_OVERLOAD
+from sim_backends.virtual_dynamixel.health import ERROR_ENCODER, ERROR_OVERHEAT, ERROR_OVERLOAD, ERROR_SHOCK
 from sim_backends.virtual_dynamixel.instructions import BAUD_RATES, Answer, Listeners
 from sim_backends.virtual_dynamixel.protocol import InstructionParser, Packet
 from sim_backends.virtual_dynamixel.servo import HOUSEKEEPING, ServoSpec, VirtualServo
@@ -107,6 +107,8 @@ class VirtualBus:
             servo.reboot(self.plant.now())
         elif fault is Fault.OVERLOAD:
             servo.fail(ERROR_OVERLOAD)
+        elif fault is Fault.SHOCK:
+            servo.fail(ERROR_SHOCK)
         elif fault is Fault.OVERHEAT:
             servo.health.temperature = servo.table.get("Temperature_Limit") + 1.0
             servo.fail(ERROR_OVERHEAT)
@@ -116,6 +118,11 @@ class VirtualBus:
             servo.fail(ERROR_ENCODER)
         else:
             raise ValueError(f"{fault} strikes packets: use faults.once")
+
+    def feed(self, volts: float) -> None:
+        """Feed every servo with another voltage."""
+        for servo in self._servos:
+            servo.set_supply(volts)
 
     def heal(self) -> None:
         """Plug in, feed and cool everything again. Latched errors need a reboot, as on metal."""

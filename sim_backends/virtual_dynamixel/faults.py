@@ -26,6 +26,7 @@ class Fault(StrEnum):
     SILENT = "silent"
     REBOOT = "reboot"
     OVERLOAD = "overload"
+    SHOCK = "shock"
     UNDERVOLTAGE = "undervoltage"
     OVERHEAT = "overheat"
     ENCODER = "encoder"
@@ -33,7 +34,7 @@ class Fault(StrEnum):
 
 
 ON_STATUS = (Fault.DROP, Fault.CORRUPT, Fault.TRUNCATE, Fault.DELAY, Fault.NOISE, Fault.WRONG_ID)
-ON_SERVO = (Fault.SILENT, Fault.REBOOT, Fault.OVERLOAD, Fault.UNDERVOLTAGE, Fault.OVERHEAT, Fault.ENCODER)
+ON_SERVO = (Fault.SILENT, Fault.REBOOT, Fault.OVERLOAD, Fault.SHOCK, Fault.UNDERVOLTAGE, Fault.OVERHEAT, Fault.ENCODER)
 
 
 class FaultInjector:

@@ -49,6 +49,8 @@ class Case:
         lasts: s.
         delay: s after the state is entered.
         sorts_all: When nothing latches, every part is in its bin at the end.
+        compares: It is noticed beside the first picture of a new cell, so that it strikes a state's second time;
+            before that picture there is nothing to notice.
     """
 
     fault: str
@@ -56,6 +58,12 @@ class Case:
     lasts: float = 6.0
     delay: float = 0.0
     sorts_all: bool = True
+    compares: bool = False
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """States of the cycle in which it can strike."""
+        return tuple(state for state in STATES if not (self.compares and state == "HOMING"))
 
 
 def _stops(*codes: str) -> frozenset[str]:
@@ -72,6 +80,14 @@ CASES: Mapping[str, Case] = {
         Case("picture_black"),
         Case("picture_overexposed"),
         Case("picture_torn"),
+        Case("picture_light", compares=True),
+        Case("picture_soft", compares=True),
+        Case("picture_moved", compares=True),
+        Case("picture_covered", compares=True),
+        Case("light_drifting", lasts=600.0, compares=True),
+        Case("pictures_damaged", lasts=600.0),
+        Case("supply_low", lasts=600.0),
+        Case("bus_noisy", lasts=600.0),
         Case("ledger_unwritable"),
         Case("bus_corrupt", lasts=3.0),
         Case("grasp_missed", delay=0.2, sorts_all=False),
@@ -80,6 +96,7 @@ CASES: Mapping[str, Case] = {
         Case("bus_timeout", _stops("bus_timeout"), 600.0),
         Case("bus_lost", _stops("bus_lost"), 600.0),
         Case("servo_overload", _stops("servo_overload")),
+        Case("servo_shock", _stops("servo_shock")),
         Case("servo_overheat", _stops("servo_overheat")),
         Case("servo_undervoltage", _stops("servo_undervoltage"), 600.0),
         Case("servo_encoder", _stops("servo_encoder")),
@@ -149,8 +166,9 @@ class _CountedArm:
         return self._arm.grip(opening, effort)
 
 
-def script(case: Case, state: str, occurrence: int = 1) -> str:
+def script(case: Case, state: str) -> str:
     """The script of one run."""
+    occurrence = 2 if case.compares and state != "IDLE" else 1
     on = f'on = {{ state = "{state}", occurrence = {occurrence}, delay_s = {case.delay} }}'
     return f'[[fault]]\nfault = "{case.fault}"\n{on}\nduration_s = {case.lasts}\n'
 
@@ -181,8 +199,8 @@ def run_case(case: Case, state: str, calibration: Path, folder: Path) -> Found:
     seen = {fault["code"] for fault in found.figures["faults"]}
     # Once the table is empty nothing is looked at or recorded; before the first look no picture can come again.
     hidden = state == "IDLE" or (case.fault, state) == ("picture_frozen", "HOMING")
-    holds = CATALOGUE[case.fault].action is Action.HELD and case.ends == GOES_ON
-    if holds and not hidden and case.fault not in seen:
+    told = CATALOGUE[case.fault].action in (Action.HELD, Action.WARNED) and case.ends == GOES_ON
+    if told and not hidden and case.fault not in seen:
         found.complaints.append("nobody noticed")
     return found
 
@@ -229,7 +247,7 @@ def main() -> int:
         root = Path(name)
         look_at_cell(SEED, PARTS, "dynamic", root)
         for fault in arguments.faults:
-            for state in arguments.states:
+            for state in (state for state in arguments.states if state in CASES[fault].states):
                 found = run_case(CASES[fault], state, root / "calibration", root / fault / state)
                 runs, bad = runs + 1, bad + bool(found.complaints)
                 ends[found.end or "goes on"] += 1

@@ -134,6 +134,8 @@ class Bench(Observer):
         self.until_empty = True
         self.held_for: list[SorterError] = []
         self.overcome = 0
+        self.concerns: dict[str, str] = {}
+        self.warnings: list[str] = []
         self.on_sleep: Callable[[float], None] = lambda now: None
         self.filled: Counter[str] = Counter()
         self._width = 0.0
@@ -168,6 +170,7 @@ class Bench(Observer):
             Planner(self.arm.description, calibration, config.bin_values()),
             (self,),
             self.confirm,
+            concerns=lambda: self.concerns,
         )
         return Sorter(rig, until_empty=self.until_empty, most_parts=self.most_parts, filled=self.filled)
 
@@ -198,6 +201,12 @@ class Bench(Observer):
 
     def resumed(self, at: float) -> None:
         self.overcome += 1
+
+    def warned(self, code: str, cause: str, at: float) -> None:
+        self.warnings.append(f"{code}: {cause}")
+
+    def eased(self, code: str, at: float) -> None:
+        self.warnings.append(f"{code} is over")
 
     def looked(self, look: Look) -> None:
         assert all(thing.detection.frame.image is IMAGE for thing in look.located)

@@ -1,0 +1,47 @@
+"""The still scenery of a cell: learnt from the first picture after a calibration, and kept with that calibration.
+
+A camera that was bumped at night must be noticed in the morning: a real cell's reference outlives the program.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.config.cell import CellConfig
+from controller.cycle.view import still_mask
+from controller.domain import CellCalibration
+from controller.ports import Camera
+from controller.vision.watch import WatchedCamera
+
+
+def watch_scenery(camera: Camera, config: CellConfig, calibration: CellCalibration, folder: Path | None) -> None:
+    """Let a camera that judges its pictures compare their scenery too; others are left alone.
+
+    Args:
+        camera: The cell's.
+        config: Work area and bins.
+        calibration: With which it works; another one begins with a new reference.
+        folder: Where the reference is kept; None: only as long as the camera is.
+    """
+    if not isinstance(camera, WatchedCamera):
+        return
+    size = calibration.camera.image_size
+    still = still_mask(config, calibration, size)
+    if folder is None:
+        camera.watch_scenery(still)
+        return
+    path = folder / f"scenery-{calibration.calibration_id}.png"
+    kept = cv2.imread(str(path)) if path.is_file() else None
+    reference = np.asarray(kept, np.uint8) if kept is not None and kept.shape[1::-1] == size else None
+
+    def keep(image: NDArray[np.uint8]) -> None:
+        if reference is None:
+            for old in folder.glob("scenery-*.png"):
+                old.unlink(missing_ok=True)
+            cv2.imwrite(str(path), image)
+
+    camera.watch_scenery(still, reference, keep)
