@@ -26,6 +26,7 @@ ROOMS = {
     "doctor": "doctor",
     "ledger": "ledger",
     "report": "report",
+    "bundle": "bundle",
     "status": "control",
     "start": "control",
     "pause": "control",
