@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import random
-import shutil
 import signal
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from controller.domain import Result
 from controller.ledger import SqliteLedger
 from sim_backends.virtual_clock import VirtualClock
-from tests.unit.ledger.nouns import outcome, plan
+from tests.benchmarks.ledger_cuts import Recorded, complaints, places, record
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -28,96 +25,23 @@ def opened(path: Path) -> SqliteLedger:
 # --- the log cut anywhere -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """A ledger caught in the middle of a run.
-
-    Attributes:
-        folder: Holds the database and its log.
-        steps: (size of the log, records) after every acknowledged call; a record is (kind, target).
-    """
-
-    folder: Path
-    steps: list[tuple[int, list[tuple[str, str]]]]
-
-    def at(self, cut: int) -> list[tuple[str, str]]:
-        """What was acknowledged by the time the log had this many bytes."""
-        return [step for step in self.steps if step[0] <= cut][-1][1]
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    folder = tmp_path_factory.mktemp("recorded")
-    ledger = opened(folder / "ledger.db")
-    # An empty log at the start, so that its size counts every record.
-    ledger._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    records: list[tuple[str, str]] = []
-    steps = [(0, list(records))]
-
-    def step(*new: tuple[str, str]) -> None:
-        records.extend(new)
-        steps.append(((folder / "ledger.db-wal").stat().st_size, list(records)))
-
-    ledger.begin_run(software_version="1.0", config_hash="abc")
-    step()
-    for number in range(40):
-        name = f"t{number}"
-        ledger.intend(name, plan(name), 1, float(number))
-        step(("intent", name))
-        if number % 5 != 4:
-            ledger.conclude(outcome(name))
-            step(("outcome", name))
-    shutil.copytree(folder, folder.with_name("cut"))
-    ledger.close()
-    return Recorded(folder.with_name("cut"), steps)
-
-
-def check_prefix(recorded: Recorded, folder: Path, cut: int, flip: bool) -> None:
-    """Open a copy whose log ends (or is damaged) at a byte: what is there must be what was acknowledged by then."""
-    shutil.copytree(recorded.folder, folder)
-    log = folder / "ledger.db-wal"
-    data = bytearray(log.read_bytes())
-    if flip:
-        data[cut] ^= 0x10
-    else:
-        del data[cut:]
-    log.write_bytes(bytes(data))
-    (folder / "ledger.db-shm").unlink(missing_ok=True)
-    wanted = recorded.at(cut)
-    intents = [name for kind, name in wanted if kind == "intent"]
-    outcomes = [name for kind, name in wanted if kind == "outcome"]
-    with opened(folder / "ledger.db") as ledger:
-        assert ledger.set_aside is None
-        assert [row["target_id"] for row in ledger.rows("intents")] == intents
-        rows = list(ledger.rows("outcomes"))
-        assert [row["target_id"] for row in rows if row["result"] == Result.PLACED] == outcomes
-        left_open = [name for name in intents if name not in outcomes]
-        assert [open_.target_id for open_ in ledger.indeterminate] == left_open
-        assert [row["target_id"] for row in rows if row["result"] == Result.INDETERMINATE] == left_open
-        assert ledger.verify() == ()
-    shutil.rmtree(folder)
-
-
-def cuts(recorded: Recorded, number: int, seed: int) -> list[int]:
-    """Random places in the log, and some at the very ends of records."""
-    size = recorded.steps[-1][0]
-    chance = random.Random(seed)
-    ends = [chance.choice(recorded.steps)[0] + chance.choice((-1, 0, 1)) for _ in range(number // 4)]
-    anywhere = [chance.randrange(size) for _ in range(number - len(ends))]
-    return [min(max(cut, 0), size - 1) for cut in ends + anywhere]
+    return record(tmp_path_factory.mktemp("recorded"))
 
 
 @pytest.mark.parametrize("flip", [False, True], ids=["cut", "damaged"])
 def test_a_damaged_log_leaves_an_exact_prefix(recorded: Recorded, tmp_path: Path, flip: bool) -> None:
-    for number, cut in enumerate(cuts(recorded, 12, seed=1)):
-        check_prefix(recorded, tmp_path / str(number), cut, flip)
+    for number, cut in enumerate(places(recorded, 12, seed=1)):
+        assert complaints(recorded, tmp_path / str(number), cut, flip) == []
 
 
-@pytest.mark.study
-@pytest.mark.timeout(600)
-def test_six_hundred_cuts_leave_exact_prefixes(recorded: Recorded, tmp_path: Path) -> None:
-    for number, cut in enumerate(cuts(recorded, 600, seed=2)):
-        check_prefix(recorded, tmp_path / str(number), cut, flip=number % 2 == 1)
+def test_a_lost_record_would_be_noticed(recorded: Recorded, tmp_path: Path) -> None:
+    """The last record that the steps speak of is taken from the log, while its size is still claimed."""
+    (before, _), (size, records) = recorded.steps[-2:]
+    claimed = Recorded(recorded.folder, [(before - 1, records)])
+    assert size > before
+    assert complaints(claimed, tmp_path / "cut", before, flip=False) != []
 
 
 # --- the process killed ---------------------------------------------------------------------------------------
