@@ -64,6 +64,7 @@ class ArmSuite:
         assert np.abs(state.positions - description.rest).max() < STANDS
         assert state.at <= arm_case.clock.now()
 
+    @pytest.mark.safety("SR-01")
     def test_nothing_moves_without_torque(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         start, end = self._lifted(arm)
@@ -73,6 +74,7 @@ class ArmSuite:
             arm.grip(50.0)
         assert np.abs(arm.state().positions - start).max() < STANDS
 
+    @pytest.mark.safety("SR-02")
     def test_torque_on_moves_nothing(self, arm_case: ArmCase) -> None:
         before = arm_case.arm.state().positions
         assert np.abs(arm_case.arm.energise().positions - before).max() < STANDS
@@ -89,6 +91,7 @@ class ArmSuite:
         assert arm.follow(quintic(there.state.positions, start, 0.6)).finished
         assert np.abs(arm.state().positions - start).max() < STANDS
 
+    @pytest.mark.safety("SR-13")
     def test_a_trajectory_from_elsewhere_is_refused_and_nothing_moves(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         arm.energise()
@@ -103,6 +106,7 @@ class ArmSuite:
         with pytest.raises(LimitViolation):
             arm.follow(quintic(np.zeros(2), np.ones(2), 0.5))
 
+    @pytest.mark.safety("SR-20")
     def test_a_stop_before_the_move_holds_until_cleared(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         arm.energise()
@@ -114,6 +118,7 @@ class ArmSuite:
         arm.clear_stop()
         assert arm.follow(quintic(start, end, 0.5)).finished
 
+    @pytest.mark.safety("SR-20")
     def test_a_stop_ends_the_move_on_its_path(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         arm.energise()
@@ -150,6 +155,7 @@ class ArmSuite:
         assert abs(report.opening - opening) < JAWS
         assert abs(arm.state().opening - opening) < JAWS
 
+    @pytest.mark.safety("SR-16")
     def test_grip_stops_on_a_part(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         arm.energise()
@@ -163,6 +169,7 @@ class ArmSuite:
         assert arm.grip(60.0).finished
         arm_case.obstruct(None)
 
+    @pytest.mark.safety("SR-16")
     def test_openings_are_clipped_to_the_grippers_range(self, arm_case: ArmCase) -> None:
         arm = arm_case.arm
         arm.energise()

@@ -45,6 +45,7 @@ class CameraSuite:
         assert [camera.capture(cell.clock.now()).frame_id for _ in range(3)] == [1, 2, 3]
 
     @pytest.mark.parametrize("ahead", [-1.0, 0.0, 0.3])
+    @pytest.mark.safety("SR-30")
     def test_a_frame_is_exposed_after_the_asked_time_and_before_now(
         self, cell: CameraCell, camera: Camera, ahead: float
     ) -> None:
@@ -63,6 +64,7 @@ class CameraSuite:
         camera.capture(cell.clock.now())
         assert np.array_equal(first.image, before)
 
+    @pytest.mark.safety("SR-27")
     def test_a_frame_that_cannot_come_in_time_is_stale_at_the_deadline(self, cell: CameraCell, camera: Camera) -> None:
         began = cell.clock.now()
         with pytest.raises(FrameStale, match="capture"):

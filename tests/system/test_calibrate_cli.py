@@ -27,6 +27,7 @@ def calibrated(controller: Controller, tmp_path: Path) -> dict[str, Any]:
     return made
 
 
+@pytest.mark.safety("SR-05")
 def test_a_cell_is_calibrated_certified_and_refused_when_something_changed(
     calibrated: dict[str, Any], controller: Controller, tmp_path: Path
 ) -> None:

@@ -40,6 +40,7 @@ def test_a_configuration_that_is_not_there(controller: Controller) -> None:
     assert "none.toml" in one_error(done.stderr)
 
 
+@pytest.mark.safety("SR-04")
 def test_a_typo_in_a_configuration(controller: Controller, tmp_path: Path) -> None:
     path = write(tmp_path / "cell.toml", CELL.replace("speed_percent", "sped_percent"))
     for command in (["run"], ["config", "check"]):
@@ -50,6 +51,7 @@ def test_a_typo_in_a_configuration(controller: Controller, tmp_path: Path) -> No
         assert "did you mean speed_percent?" in line
 
 
+@pytest.mark.safety("SR-04")
 def test_an_unreachable_bin(controller: Controller, tmp_path: Path) -> None:
     path = write(tmp_path / "cell.toml", SIM.replace("center_mm = [-190.0, 226.0]", "center_mm = [190.0, 526.0]"))
     for command in (["config", "check"], ["run", "--sim"]):
@@ -59,6 +61,7 @@ def test_an_unreachable_bin(controller: Controller, tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.safety("SR-06")
 def test_a_missing_camera_and_a_missing_serial_port(controller: Controller, tmp_path: Path) -> None:
     text = CELL.replace("/dev/sorter-cam", "/dev/no-camera-here").replace("/dev/sorter-arm", "/dev/no-port-here")
     done = controller("run", "--config", write(tmp_path / "cell.toml", text), "--start")
@@ -68,6 +71,7 @@ def test_a_missing_camera_and_a_missing_serial_port(controller: Controller, tmp_
     assert "/dev/no-port-here" in line
 
 
+@pytest.mark.safety("SR-03")
 def test_a_second_instance(controller: Controller, tmp_path: Path) -> None:
     import os
 

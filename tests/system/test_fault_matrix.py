@@ -33,10 +33,12 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("fault", "state"),
     [("camera_lost", "CAPTURE"), ("ledger_unwritable", "PLACE"), ("bus_timeout", "PLACE"), ("servo_overload", "PICK")],
 )
+@pytest.mark.safety("SR-23", "SR-41")
 def test_a_fault_ends_as_the_catalogue_says(fault: str, state: str, calibration: Path, tmp_path: Path) -> None:
     assert run_case(CASES[fault], state, calibration, tmp_path / "case").complaints == []
 
 
+@pytest.mark.safety("SR-41")
 def test_kills_lose_nothing_and_double_nothing(calibration: Path, tmp_path: Path) -> None:
     verdicts = run_kills(2, 3, calibration, tmp_path)
     assert [complaint for verdict in verdicts for complaint in verdict.complaints] == []
@@ -65,6 +67,7 @@ def test_the_shipped_scripts_can_be_read(path: Path) -> None:
         ("[[fault", "Expected"),
     ],
 )
+@pytest.mark.safety("SR-43")
 def test_a_wrong_script_is_refused_with_its_place(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "faults.toml"
     path.write_text(text)

@@ -136,6 +136,7 @@ def test_bins_are_taught_beside_the_configuration(
     assert config.read_bytes() == before
 
 
+@pytest.mark.safety("SR-18")
 def test_rehearsals_touch_nothing(controller: Controller, tmp_path: Path) -> None:
     common = ("run", "--sim", "--level", "ideal", "--parts", 2, "--seed", 3, "--json")
     dry = controller(*common, "--dry-run", "--out", "dry")

@@ -96,6 +96,7 @@ def cell(tmp_path: Path, state: Path, devices: list[Devices]) -> Iterator[Runnin
         yield running
 
 
+@pytest.mark.safety("SR-01")
 def test_a_cell_comes_up_stopped_and_moves_only_when_it_is_started(
     cell: RunningCell, devices: list[Devices], state: Path
 ) -> None:
@@ -122,6 +123,7 @@ def test_a_cell_comes_up_stopped_and_moves_only_when_it_is_started(
         assert [run["end_reason"] for run in ledger.rows("runs")] == ["stopped"]
 
 
+@pytest.mark.safety("SR-22")
 def test_a_fault_latches_until_it_is_reset(
     cell: RunningCell, devices: list[Devices], monkeypatch: pytest.MonkeyPatch
 ) -> None:

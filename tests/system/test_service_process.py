@@ -101,6 +101,7 @@ def test_it_is_started_and_stopped_and_ends_in_good_order(tmp_path: Path) -> Non
         assert not (tmp_path / "run" / "control.sock").exists()
 
 
+@pytest.mark.safety("SR-01", "SR-41")
 def test_after_a_kill_at_work_it_comes_up_stopped(tmp_path: Path) -> None:
     with _service(tmp_path / "run") as manager:
         manager.operator.ask("start")

@@ -216,6 +216,7 @@ def eventually(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
     return True
 
 
+@pytest.mark.safety("SR-25")
 def test_the_servos_stop_by_themselves_when_the_controller_is_killed() -> None:
     with spawn_server(ServerSpec(servos=SERVOS)) as server:
         truth = RemoteTruth(server.socket, SystemClock())

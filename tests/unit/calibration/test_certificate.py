@@ -72,6 +72,7 @@ def check(
     return found, np.array(missed)
 
 
+@pytest.mark.safety("SR-05")
 def test_a_calibrated_arm_gets_a_good_one_and_an_uncalibrated_a_poor_one() -> None:
     m = metal(1)
     arm = calibrated(m)

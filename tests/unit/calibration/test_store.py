@@ -83,6 +83,7 @@ def test_the_id_is_of_the_measurement_not_of_the_notes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["camera.json", "table.json"])
+@pytest.mark.safety("SR-05")
 def test_a_swapped_file_is_refused(name: str, tmp_path: Path) -> None:
     write_all(tmp_path / "a")
     write_all(tmp_path / "b", focal=1003.0)
@@ -91,6 +92,7 @@ def test_a_swapped_file_is_refused(name: str, tmp_path: Path) -> None:
         store.load(tmp_path / "a")
 
 
+@pytest.mark.safety("SR-05")
 def test_foreign_devices_are_refused(tmp_path: Path) -> None:
     write_all(tmp_path)
     held = store.load(tmp_path)
@@ -131,6 +133,7 @@ def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: p
     assert not list(tmp_path.glob(".*.tmp"))
 
 
+@pytest.mark.safety("SR-05")
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(CalibrationMissing, match="no such calibration folder"):
         store.load(tmp_path / "none")
@@ -152,6 +155,7 @@ def test_by_ruler_says_that_nothing_vouches_for_it(tmp_path: Path) -> None:
     assert held.cell().joint_offsets == {}
 
 
+@pytest.mark.safety("SR-05", "SR-43")
 def test_hostile_arm_files_are_refused() -> None:
     _, _, arm = parts()
     good = arm.to_json()

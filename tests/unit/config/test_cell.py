@@ -42,6 +42,7 @@ def test_the_shipped_cells_load(name: str) -> None:
         ('shape = "square"\nbin', 'size_mm = [9.0, 3.0]\nbin', "size_mm"),
     ],
 )
+@pytest.mark.safety("SR-04")
 def test_contradictions_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SHIPPED
     with pytest.raises(ConfigError) as caught:

@@ -55,6 +55,7 @@ def test_values_arrive_as_tuples_and_enums(tmp_path: Path) -> None:
         ('[[items]]\nname = "a"\ncenter_mm = [1]', "items[0].center_mm[1]", "add this key"),
     ],
 )
+@pytest.mark.safety("SR-04")
 def test_a_mistake_is_named_with_its_key_and_remedy(tmp_path: Path, text: str, key: str, word: str) -> None:
     error = refuse(tmp_path, text)
     assert f"{key}:" in error.cause
@@ -88,6 +89,7 @@ def test_a_huge_file_is_refused(tmp_path: Path) -> None:
 
 
 @given(st.binary(max_size=300))
+@pytest.mark.safety("SR-43")
 def test_no_bytes_raise_anything_else(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "x.toml"
     path.write_bytes(data)
@@ -104,6 +106,7 @@ ANYTHING = st.recursive(
 
 
 @given(ANYTHING)
+@pytest.mark.safety("SR-43")
 def test_no_value_raises_anything_else(value: object) -> None:
     try:
         validate({"items": value}, Root, "fuzz")

@@ -52,15 +52,18 @@ def test_only_the_table_s_triggers_work(state: State) -> None:
 
 
 @pytest.mark.parametrize("state", [state for state in State if state is not State.FAULT])
+@pytest.mark.safety("SR-22")
 def test_every_state_can_fault(state: State) -> None:
     assert reach(state).fire("faulted") is State.FAULT
 
 
+@pytest.mark.safety("SR-22")
 def test_a_fault_is_left_only_by_a_reset_and_only_to_stopped() -> None:
     leaving = [entry for entry in TRANSITIONS if entry["source"] is State.FAULT]
     assert [(entry["trigger"], entry["dest"]) for entry in leaving] == [("reset", State.STOPPED)]
 
 
+@pytest.mark.safety("SR-01")
 def test_motion_begins_only_by_started() -> None:
     leaving = [e for e in TRANSITIONS if e["source"] is State.STOPPED and e["dest"] is not State.FAULT]
     assert [entry["trigger"] for entry in leaving] == ["started"]

@@ -13,6 +13,7 @@ from sim_backends.recording_arm import RecordingArm
 from tests.unit.cycle.bench import Bench, part
 
 
+@pytest.mark.safety("SR-34")
 def test_what_could_not_be_located_is_still_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four neighbours 3 mm away leave no room for a jaw of 8 mm, whether they could be located or not."""
     bench = Bench(monkeypatch, part(0, 0))
@@ -28,6 +29,7 @@ def test_what_could_not_be_located_is_still_in_the_way(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("stray", "results"), [(0.03, [Result.PLACED]), (0.08, [Result.GRASP_MISSED])])
+@pytest.mark.safety("SR-16")
 def test_jaws_that_meet_something_on_the_way_down_do_not_close(
     monkeypatch: pytest.MonkeyPatch, stray: float, results: list[Result]
 ) -> None:

@@ -26,6 +26,7 @@ def test_one_part_walks_through_every_state(monkeypatch: pytest.MonkeyPatch) -> 
     assert sorter.left == 0
 
 
+@pytest.mark.safety("SR-40")
 def test_intent_is_on_record_before_motion_and_the_outcome_after(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.on_command = lambda command: bench.ledger.lines.append(("arm", str(command.get("name", command["command"]))))
@@ -55,6 +56,7 @@ def test_what_no_rule_names_may_be_left(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize(
     "thing", [part(-150, 0), part(0, 0, score=0.3), part(0, 0, size=90.0)], ids=["outside", "unsure", "too wide"]
 )
+@pytest.mark.safety("SR-10")
 def test_what_cannot_be_picked_is_left_and_nothing_approaches_it(
     monkeypatch: pytest.MonkeyPatch, thing: LocatedObject
 ) -> None:
@@ -76,6 +78,7 @@ def test_a_missed_grasp_is_tried_again_with_a_new_look_and_then_given_up(monkeyp
     assert [what for kind, what in bench.ledger.lines if kind == "intend"] == ["t1/1", "t1/2", "t1/3"]
 
 
+@pytest.mark.safety("SR-41")
 def test_a_part_gone_after_a_missed_grasp_is_indeterminate(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.arm.grip_result(contact=False, opening=50.0)
@@ -85,6 +88,7 @@ def test_a_part_gone_after_a_missed_grasp_is_indeterminate(monkeypatch: pytest.M
     assert bench.results == [Result.INDETERMINATE]
 
 
+@pytest.mark.safety("SR-41")
 def test_a_dropped_part_is_found_again_and_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
 
@@ -115,6 +119,7 @@ def test_a_dropped_part_that_is_nowhere_is_dropped(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("during", ["home", "approach", "carry", "retreat"])
+@pytest.mark.safety("SR-20", "SR-21")
 def test_a_stop_parks_the_arm_wherever_it_comes(monkeypatch: pytest.MonkeyPatch, during: str) -> None:
     bench = Bench(monkeypatch, part(0, 0), part(0, 90))
     bench.arm.open()
@@ -129,6 +134,7 @@ def test_a_stop_parks_the_arm_wherever_it_comes(monkeypatch: pytest.MonkeyPatch,
     assert len(begun) == len(bench.results)
 
 
+@pytest.mark.safety("SR-23")
 def test_a_fault_of_the_arm_latches_and_it_moves_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     error = MotionTimeout("arm", "follow", "the elbow does not move")
@@ -141,6 +147,7 @@ def test_a_fault_of_the_arm_latches_and_it_moves_no_more(monkeypatch: pytest.Mon
     assert "relax" not in bench.commands  # it would fall
 
 
+@pytest.mark.safety("SR-21")
 def test_a_fault_elsewhere_latches_when_the_arm_is_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.camera.failures = [CalibrationStale("other camera")]
@@ -149,6 +156,7 @@ def test_a_fault_elsewhere_latches_when_the_arm_is_at_rest(monkeypatch: pytest.M
     assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
 
 
+@pytest.mark.safety("SR-21")
 def test_an_arm_that_cannot_be_parked_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.camera.failures = [CalibrationStale("other camera")]
@@ -158,6 +166,7 @@ def test_an_arm_that_cannot_be_parked_keeps_its_torque(monkeypatch: pytest.Monke
     assert ("note", "park_failed") in bench.ledger.lines
 
 
+@pytest.mark.safety("SR-40")
 def test_nothing_moves_for_a_part_that_cannot_be_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
 
@@ -217,6 +226,7 @@ def test_jaws_that_keep_a_part_are_opened_again(monkeypatch: pytest.MonkeyPatch)
     assert bench.held_for == []
 
 
+@pytest.mark.safety("SR-16", "SR-24")
 def test_a_part_that_sticks_holds_the_cell_until_somebody_says_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.until_empty = False
@@ -252,6 +262,7 @@ def test_a_part_that_sticks_is_a_fault_where_nobody_helps(monkeypatch: pytest.Mo
     assert 60.0 < bench.clock.now() < 90.0
 
 
+@pytest.mark.safety("SR-24")
 def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 2
@@ -282,6 +293,7 @@ def test_an_operated_cell_waits_for_its_camera_as_long_as_it_takes(monkeypatch: 
     assert bench.clock.now() == pytest.approx(15.5 + 95 * 10.0, rel=0.05)
 
 
+@pytest.mark.safety("SR-20", "SR-24")
 def test_a_stop_is_obeyed_while_the_cell_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 20
@@ -360,6 +372,7 @@ def test_the_same_run_commands_the_same_moves(monkeypatch: pytest.MonkeyPatch) -
     benches[1].arm.assert_commands(benches[0].arm.commands)
 
 
+@pytest.mark.safety("SR-20")
 def test_a_stop_before_the_torque_is_on_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.arm.open()

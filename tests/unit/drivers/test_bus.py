@@ -53,6 +53,7 @@ def test_registers_are_read_and_written_with_their_sign() -> None:
         bus.write_register(1, "Return_Delay_Time", 256)
 
 
+@pytest.mark.safety("SR-32")
 def test_an_error_without_data_is_no_value() -> None:
     """(4) The SDK takes the checksum's bytes for the value, or raises IndexError."""
     bus, _ = _answering(status_packet(1, 0x07))
@@ -81,6 +82,7 @@ def test_a_write_that_is_not_answered_is_not_repeated() -> None:
     assert len(line.written) == 1
 
 
+@pytest.mark.safety("SR-27")
 def test_reads_are_repeated_and_counted() -> None:
     bus, line = _answering(b"", status_packet(1, 0, b"\x01\x02\x03\x04"))
     assert bus.read(1, *POSITION).data == b"\x01\x02\x03\x04"
@@ -105,6 +107,7 @@ def test_other_ids_and_other_lengths_are_strays() -> None:
     assert bus.statistics.strays == 2
 
 
+@pytest.mark.safety("SR-32")
 def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
     """Homing_Offset arrives 50 ms late, while Present_Position of the same length is being asked for."""
     asked: list[bytes] = []
@@ -232,6 +235,7 @@ def test_group_reads_keep_every_alert(fast: bool) -> None:
 
 @pytest.mark.parametrize("fault", [Fault.DROP, Fault.CORRUPT, Fault.TRUNCATE, Fault.WRONG_ID])
 @pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.safety("SR-32")
 def test_a_spoilt_answer_is_none_and_the_next_read_is_clean(fault: Fault, fast: bool) -> None:
     """(7) The SDK returns at once and collides with the answers still on the line. (8) Inner checksums count."""
     bus, bench, _ = virtual_bus(5)
@@ -258,6 +262,7 @@ def test_a_header_among_the_values_reaches_the_servo() -> None:
     assert bench.servo(2).table.get("Homing_Offset") == 7
 
 
+@pytest.mark.safety("SR-32")
 def test_two_answers_under_one_id_are_none() -> None:
     """Nobody can say which of the two is the servo that was meant."""
 
@@ -350,6 +355,7 @@ _PIECES = st.one_of(
 
 @settings(max_examples=200)
 @given(st.lists(st.lists(_PIECES, max_size=4).map(b"".join), max_size=4), st.booleans())
+@pytest.mark.safety("SR-32")
 def test_garbage_raises_only_bus_errors_and_gives_only_sent_values(answers: list[bytes], fast: bool) -> None:
     queue = list(answers)
     bus, _ = scripted_bus(lambda _: [(0.001, queue.pop(0))] if queue else [])

@@ -38,6 +38,7 @@ def _goals(bench: ArmBench, servo_id: int = WAIST) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("at", [0.1, 0.3, 0.5])
+@pytest.mark.safety("SR-20")
 def test_stop_slows_within_50_ms_and_never_reverses(at: float) -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -76,6 +77,7 @@ def test_a_stop_cleared_at_once_still_ends_the_move() -> None:
         assert arm.follow(_move(bench)).finished
 
 
+@pytest.mark.safety("SR-20")
 def test_a_stop_ends_a_grip_where_the_jaws_are() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -92,6 +94,7 @@ def test_a_stop_ends_a_grip_where_the_jaws_are() -> None:
 
 
 @pytest.mark.parametrize("stall", [0.02, 0.05, 0.1, 0.15, 0.2, 0.5])
+@pytest.mark.safety("SR-14")
 def test_a_stalled_sender_slips_and_never_jumps(stall: float) -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -123,6 +126,7 @@ def test_a_watchdog_that_tripped_between_moves_is_cleared() -> None:
         assert arm.grip(60.0).finished
 
 
+@pytest.mark.safety("SR-25")
 def test_the_watchdog_is_armed_only_while_moving() -> None:
     bench = ArmBench()
     seen: list[int] = []
@@ -136,6 +140,7 @@ def test_the_watchdog_is_armed_only_while_moving() -> None:
 # --- faults in mid-move -----------------------------------------------------------------------------------
 
 
+@pytest.mark.safety("SR-25", "SR-27")
 def test_unplugged_in_mid_move() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -180,6 +185,7 @@ def test_a_hardware_error_stops_the_move_and_names_the_joint(servo_id: int, faul
         assert np.diff(_goals(bench)[1]).min() >= 0
 
 
+@pytest.mark.safety("SR-27")
 def test_a_silent_servo_stops_the_move() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -190,6 +196,7 @@ def test_a_silent_servo_stops_the_move() -> None:
         assert bench.plant.now() < 1.2
 
 
+@pytest.mark.safety("SR-15")
 def test_a_servo_that_restarts_in_mid_move_ends_it() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -204,6 +211,7 @@ def test_a_servo_that_restarts_in_mid_move_ends_it() -> None:
         assert arm.follow(_move(bench)).finished
 
 
+@pytest.mark.safety("SR-15")
 def test_a_blocked_joint_ends_the_move_and_is_let_go() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -222,6 +230,7 @@ def test_a_blocked_joint_ends_the_move_and_is_let_go() -> None:
         assert arm.follow(quintic(here, here - np.array([0.1, 0.0, 0.0, 0.0, 0.0]), 0.5)).finished
 
 
+@pytest.mark.safety("SR-15", "SR-27")
 def test_a_joint_that_does_not_arrive_is_no_success() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -264,6 +273,7 @@ def test_grips_survive_a_bad_line() -> None:
 # --- refusals ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.safety("SR-11")
 def test_unsafe_trajectories_are_refused() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -349,6 +359,7 @@ def test_foreign_settings_are_put_right(register: str, value: int) -> None:
         assert arm.follow(_move(bench)).finished
 
 
+@pytest.mark.safety("SR-06")
 def test_a_bus_that_only_garbles_points_at_shared_ids() -> None:
     bench = ArmBench()
     bench.bus.faults.once(Fault.CORRUPT, ELBOW, count=3)
@@ -358,6 +369,7 @@ def test_a_bus_that_only_garbles_points_at_shared_ids() -> None:
     assert "same ID" in caught.value.remedy
 
 
+@pytest.mark.safety("SR-06")
 def test_missing_servos_are_all_named() -> None:
     bench = ArmBench()
     for servo_id in (ELBOW, JAW):
@@ -368,6 +380,7 @@ def test_missing_servos_are_all_named() -> None:
     assert "servo 6 (gripper)" in str(caught.value)
 
 
+@pytest.mark.safety("SR-06")
 def test_another_model_is_named() -> None:
     bench = ArmBench()
     specs = [ServoSpec(i, "XL430-W250") for i in range(1, 7)]
@@ -378,6 +391,7 @@ def test_another_model_is_named() -> None:
         bench.arm.open()
 
 
+@pytest.mark.safety("SR-06")
 def test_a_fault_at_start_is_told_and_not_taken_for_absence() -> None:
     bench = ArmBench()
     bench.bus.strike(Fault.OVERLOAD, SHOULDER)
@@ -387,6 +401,7 @@ def test_a_fault_at_start_is_told_and_not_taken_for_absence() -> None:
 
 
 @pytest.mark.parametrize("keeps_goal", [False, True])
+@pytest.mark.safety("SR-02")
 def test_torque_on_does_not_jump_to_an_old_goal(keeps_goal: bool) -> None:
     bench = ArmBench()
     plant = IdealPlant(range(1, 7))
@@ -403,6 +418,7 @@ def test_torque_on_does_not_jump_to_an_old_goal(keeps_goal: bool) -> None:
     bench.arm.close()
 
 
+@pytest.mark.safety("SR-21")
 def test_an_arm_that_holds_is_not_dropped_by_a_new_start() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -416,6 +432,7 @@ def test_an_arm_that_holds_is_not_dropped_by_a_new_start() -> None:
         assert arm.follow(_move(bench)).finished
 
 
+@pytest.mark.safety("SR-02")
 def test_a_joint_outside_its_limits_is_not_pulled_in() -> None:
     bench = ArmBench()
     bench.plant.place(WRIST, 2.0)

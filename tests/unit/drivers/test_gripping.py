@@ -28,6 +28,7 @@ def _approach(speed: float, contact: int, total: int = 60) -> list[float]:
 
 @pytest.mark.parametrize("speed", [0.5, 2.0, 6.0])
 @pytest.mark.parametrize("contact", [8, 20, 45])
+@pytest.mark.safety("SR-16")
 def test_contact_is_seen_within_two_samples_and_never_before(speed: float, contact: int) -> None:
     stop = _first_stop(_approach(speed, contact))
     assert stop is not None
@@ -61,6 +62,7 @@ def test_missed_samples_do_not_matter() -> None:
     assert detector.stopped(0.12, 0.27)
 
 
+@pytest.mark.safety("SR-16")
 def test_force_from_effort() -> None:
     assert goal_pwm(1.0) == RATED_PWM
     assert goal_pwm(0.6) == round(0.6 * RATED_PWM)

@@ -32,6 +32,7 @@ arm.follow(quintic(start, start + np.array([1.5, 0.6, -0.6, 0.3, 0.5]), 30.0))
 """
 
 
+@pytest.mark.safety("SR-25")
 def test_servos_stop_by_themselves_and_a_new_process_takes_over() -> None:
     from drivers.arm.dynamixel import DynamixelArm
     from drivers.arm.serial_stream import SerialStream

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -55,6 +56,7 @@ def test_a_good_packet_behind_garbage_is_found(garbage: bytes, status: Status) -
 
 
 @given(_STATUS, st.data())
+@pytest.mark.safety("SR-32")
 def test_a_damaged_packet_is_no_packet(status: Status, draw: st.DataObject) -> None:
     packet = bytearray(_packet(status))
     index = draw.draw(st.integers(0, len(packet) - 1))
@@ -63,6 +65,7 @@ def test_a_damaged_packet_is_no_packet(status: Status, draw: st.DataObject) -> N
 
 
 @given(_STATUS, st.integers(1, 10))
+@pytest.mark.safety("SR-32")
 def test_a_truncated_packet_is_no_packet(status: Status, lost: int) -> None:
     assert _parse([_packet(status)[:-lost]]) == []
 

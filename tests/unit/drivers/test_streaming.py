@@ -40,6 +40,7 @@ def test_between_samples_it_interpolates() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 0.5), st.booleans()), max_size=150))
+@pytest.mark.safety("SR-14")
 def test_it_never_jumps_and_never_goes_back(cycles: list[tuple[float, bool]]) -> None:
     move = _move()
     progress = _progress(move)
@@ -73,6 +74,7 @@ def test_a_stop_takes_its_time_and_stands() -> None:
     assert 0.0 < progress.rate < 0.05
 
 
+@pytest.mark.safety("SR-14")
 def test_after_a_long_gap_it_starts_from_rest() -> None:
     progress = _progress(_move())
     for _ in range(40):

@@ -37,6 +37,7 @@ def clock() -> VirtualClock:
     return VirtualClock(100.0)
 
 
+@pytest.mark.safety("SR-30")
 def test_a_frame_was_exposed_after_the_asked_time(clock: VirtualClock) -> None:
     camera = camera_on(Plug(device(clock)), clock)
     camera.open()
@@ -80,6 +81,7 @@ def test_frames_too_old_are_passed_over(clock: VirtualClock) -> None:
     camera.close()
 
 
+@pytest.mark.safety("SR-27")
 def test_no_frame_young_enough_is_stale(clock: VirtualClock) -> None:
     camera = camera_on(Plug(device(clock)), clock)
     camera.open()
@@ -125,6 +127,7 @@ def test_a_lost_camera_is_tried_less_and_less_often(clock: VirtualClock) -> None
     assert attempts <= 6 + (passed - 15.5) / 10.0
 
 
+@pytest.mark.safety("SR-30")
 def test_after_a_loss_no_frame_from_before_is_given_out(clock: VirtualClock) -> None:
     first = device(clock, lost)
     camera = camera_on(Plug(first), clock)

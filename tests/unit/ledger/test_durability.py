@@ -31,6 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
 
 @pytest.mark.parametrize("flip", [False, True], ids=["cut", "damaged"])
+@pytest.mark.safety("SR-41")
 def test_a_damaged_log_leaves_an_exact_prefix(recorded: Recorded, tmp_path: Path, flip: bool) -> None:
     for number, cut in enumerate(places(recorded, 12, seed=1)):
         assert complaints(recorded, tmp_path / str(number), cut, flip) == []
@@ -86,6 +87,7 @@ def check_kills(path: Path, kills: int, seed: int) -> None:
         assert ledger.verify() == ()
 
 
+@pytest.mark.safety("SR-40")
 def test_a_killed_process_loses_nothing_acknowledged(tmp_path: Path) -> None:
     check_kills(tmp_path / "ledger.db", kills=3, seed=3)
 

@@ -104,12 +104,14 @@ def test_a_record_is_there_for_another_reader_when_the_call_returns(ledger: Sqli
         assert (view.counts()["open"], view.counts()["placed"]) == (0, 1)
 
 
+@pytest.mark.safety("SR-40")
 def test_commits_reach_the_disk_before_they_return(ledger: SqliteLedger) -> None:
     ask = ledger._connection.execute
     assert ask("PRAGMA journal_mode").fetchone() == ("wal",)
     assert ask("PRAGMA synchronous").fetchone() == (2,)  # FULL
 
 
+@pytest.mark.safety("SR-41")
 def test_a_second_outcome_is_refused_and_the_first_stands(ledger: SqliteLedger) -> None:
     ledger.conclude(outcome("t1", Result.PLACED))
     with pytest.raises(ValueError, match="outcome of t1"):
@@ -195,6 +197,7 @@ def test_events_keep_their_details(ledger: SqliteLedger) -> None:
     assert (row["kind"], row["at_s"], row["details"]) == ("fault", 5.0, {"code": "camera_lost", "where": "x"})
 
 
+@pytest.mark.safety("SR-41")
 def test_what_a_run_left_open_is_settled_once(path: Path) -> None:
     ledger = opened(path)
     ledger.intend("t1", plan("t1"), 1, 4.0)

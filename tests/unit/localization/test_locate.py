@@ -197,6 +197,7 @@ def test_what_is_no_known_shape_is_placed_at_half_height() -> None:
     assert abs(angle_difference(thing.yaw or 0.0, 1.0, math.pi)) < 0.15
 
 
+@pytest.mark.safety("SR-34")
 def test_what_cannot_be_located_is_named() -> None:
     calibration = cell()
     seen = placed(Shape.SQUARE, 40.0, 0.0, 0.0, 0.0, 20.0, calibration)

@@ -29,10 +29,12 @@ def above(radius: float, azimuth_deg: float, height: float, roll: float = 0.0, p
     return np.asarray(kinematics.inverse(RX150, (x + 230.0, y, height), pitch, roll)[0])
 
 
+@pytest.mark.safety("SR-10")
 def test_an_honest_move_passes() -> None:
     GATE.check(move(READY, above(200.0, 20.0, 80.0)), READY)
 
 
+@pytest.mark.safety("SR-11")
 def test_a_number_that_is_none_is_refused() -> None:
     good = move(READY, above(200.0, 20.0, 80.0))
     broken = np.array(good.positions)
@@ -48,6 +50,7 @@ def test_a_move_of_another_arm_is_refused() -> None:
         GATE.check(replace(good, positions=good.positions[:, :4], goals=good.goals[:, :4]), READY)
 
 
+@pytest.mark.safety("SR-11")
 def test_a_joint_beyond_its_limit_is_named() -> None:
     end = READY.copy()
     end[3] = RX150.joints[3].limits[1] + 0.02
@@ -55,6 +58,7 @@ def test_a_joint_beyond_its_limit_is_named() -> None:
         GATE.check(move(READY, end), READY)
 
 
+@pytest.mark.safety("SR-11")
 def test_too_fast_is_refused() -> None:
     hasty = replace(RX150, joints=tuple(replace(j, speed_limit=1.1 * j.speed_limit) for j in RX150.joints))
     end = READY + np.array([1.5, 0.0, 0.0, 0.0, 0.0])
@@ -63,6 +67,7 @@ def test_too_fast_is_refused() -> None:
         GATE.check(quick, READY)
 
 
+@pytest.mark.safety("SR-11")
 def test_a_jump_is_refused_for_its_acceleration() -> None:
     good = move(READY, above(200.0, 20.0, 80.0))
     q = np.array(good.positions)
@@ -71,18 +76,21 @@ def test_a_jump_is_refused_for_its_acceleration() -> None:
         GATE.check(replace(good, positions=q, goals=good.goals + 0.01), READY)
 
 
+@pytest.mark.safety("SR-11")
 def test_a_goal_far_ahead_of_its_position_is_refused() -> None:
     good = move(READY, above(200.0, 20.0, 80.0))
     with pytest.raises(LimitViolation, match="waist goal ahead"):
         GATE.check(replace(good, goals=good.goals + np.eye(5)[0] * 0.5), READY)
 
 
+@pytest.mark.safety("SR-13")
 def test_a_move_must_start_where_the_arm_stands() -> None:
     elsewhere = READY + np.eye(5)[0] * 0.2
     with pytest.raises(LimitViolation, match="waist away from the start by 11"):
         GATE.check(move(READY, above(200.0, 20.0, 80.0)), elsewhere)
 
 
+@pytest.mark.safety("SR-12")
 def test_the_table_is_solid() -> None:
     top = above(200.0, 20.0, 80.0)
     # Jaw tips 15 mm below the grasp point: 1 mm into the table.
@@ -91,6 +99,7 @@ def test_the_table_is_solid() -> None:
         GATE.check(down, top)
 
 
+@pytest.mark.safety("SR-12")
 def test_bin_walls_are_solid() -> None:
     side = above(230.0, 80.0, 90.0)
     low = stroke(RX150, side, -50.0)
@@ -109,6 +118,7 @@ def test_leaving_a_bin_sideways_is_refused_upwards_is_not() -> None:
         GATE.check(move(deep, above(230.0, 40.0, 40.0)), deep, opening=40.0)
 
 
+@pytest.mark.safety("SR-12")
 def test_the_arm_does_not_hit_its_own_column() -> None:
     start = above(160.0, 0.0, 110.0)
     end = above(30.0, 0.0, 70.0, pitch=2.2)
@@ -116,6 +126,7 @@ def test_the_arm_does_not_hit_its_own_column() -> None:
         GATE.check(move(start, end), start)
 
 
+@pytest.mark.safety("SR-12")
 def test_the_camera_is_kept_clear() -> None:
     start, up = READY, np.array([0.0, -0.2, -1.2, 0.2, 0.0])
     near = replace(GATE, eye=kinematics.points(RX150, up)[3] + [30.0, 0.0, 0.0], radius=1000.0)
@@ -123,6 +134,7 @@ def test_the_camera_is_kept_clear() -> None:
         near.check(move(start, up), start)
 
 
+@pytest.mark.safety("SR-12")
 def test_the_tool_stays_near_its_work() -> None:
     start, out = above(250.0, 0.0, 120.0), np.array([0.0, 1.0, -0.6, 0.0, 0.0])
     with pytest.raises(LimitViolation, match="distance of the tool"):

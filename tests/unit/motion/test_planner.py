@@ -110,6 +110,7 @@ def test_a_part_beyond_the_top_down_reach_is_taken_leaning_out() -> None:
     assert math.radians(64.0) < pitch < math.radians(89.0)
 
 
+@pytest.mark.safety("SR-10")
 def test_out_of_reach_and_crowded_have_their_own_errors() -> None:
     with pytest.raises(Unreachable):
         PLANNER.plan_pick(part(Shape.SQUARE, 36.0, at(420.0, 0.0)), (), BINS[0], BINS[0].center, READY)
@@ -131,6 +132,7 @@ def test_a_part_with_no_flat_free_is_taken_a_little_askew() -> None:
     assert math.degrees(plan.grasp.direction) % 90.0 == pytest.approx(75.0)
 
 
+@pytest.mark.safety("SR-10")
 def test_a_start_outside_the_joint_limits_is_refused() -> None:
     start = READY.copy()
     start[1] = -2.2
@@ -139,6 +141,7 @@ def test_a_start_outside_the_joint_limits_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["reactorx_150", "widowx_200", "widowx_250", "open_manipulator_x"])
+@pytest.mark.safety("SR-21")
 def test_wherever_a_plan_is_stopped_the_arm_gets_home_and_parks(name: str) -> None:
     arm = load_arm(name)
     planner = Planner(arm, calibration(), BINS)
@@ -198,6 +201,7 @@ def test_a_retreat_stays_over_the_bin_when_the_camera_sees_the_parts() -> None:
     assert hidden.retreat.positions[-1] == pytest.approx(READY)
 
 
+@pytest.mark.safety("SR-04")
 def test_bins_and_places_are_judged_before_work_begins() -> None:
     assert all(PLANNER.bin_error(box) is None for box in BINS)
     far = Bin("far", at(450.0, 90.0), (90.0, 90.0), 35.0, 6)
@@ -215,6 +219,7 @@ def test_slower_means_longer_by_as_much() -> None:
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
+@pytest.mark.safety("SR-12")
 def test_open_jaws_clear_every_neighbour_all_the_way_down(seed: int) -> None:
     """The open jaws of the sampled approach, wherever they are lower than a neighbour, are beside it."""
     things: list[LocatedObject] = scatter(np.random.default_rng(seed), 7)

@@ -30,6 +30,7 @@ def descent(arm: ArmDescription, start: Array, radius: float, azimuth: float, ro
     speed=st.sampled_from([0.1, 0.5, 1.0]),
 )
 @settings(max_examples=60, deadline=None)
+@pytest.mark.safety("SR-11")
 def test_moves_keep_the_limits_and_end_straight(
     radius: float, azimuth: float, roll: float, waist: float, speed: float
 ) -> None:

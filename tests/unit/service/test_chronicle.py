@@ -130,6 +130,7 @@ def test_old_records_go_once_a_day(tmp_path: Path) -> None:
         assert [row["targets"] for row in ledger.rows("days")] == [1]
 
 
+@pytest.mark.safety("SR-41")
 def test_a_part_under_way_when_the_power_went_is_asked_for_until_somebody_has_seen_it(tmp_path: Path) -> None:
     ledger = SqliteLedger(tmp_path / "ledger.db", clock=VirtualClock())
     ledger.intend("t1", plan("t1"), 1, 1.0)

@@ -99,6 +99,7 @@ def test_a_command_the_state_does_not_allow_is_refused_with_cause_and_remedy(
     assert cell.told == []
 
 
+@pytest.mark.safety("SR-22")
 def test_acknowledging_an_alarm_neither_clears_nor_resets_it(client: ControlClient, cell: PretendedCell) -> None:
     cell.state = State.FAULT
     cell.log.raise_("camera_lost", "/dev/video0 is gone", "plug it in")
@@ -156,6 +157,7 @@ def test_parsing_any_bytes_gives_a_request_or_a_bad_request(data: bytes) -> None
 
 @settings(max_examples=30, deadline=None)
 @given(data=st.binary(max_size=400))
+@pytest.mark.safety("SR-42")
 def test_no_bytes_crash_the_server_or_move_the_cell(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     cell = PretendedCell()
     with ControlServer(tmp_path_factory.mktemp("c"), cell) as server:
@@ -168,6 +170,7 @@ def test_no_bytes_crash_the_server_or_move_the_cell(tmp_path_factory: pytest.Tem
 # --- a stop waits for nobody -------------------------------------------------------------------------------
 
 
+@pytest.mark.safety("SR-20")
 def test_a_stop_overtakes_a_slow_command_on_its_own_connection(server: ControlServer, cell: PretendedCell) -> None:
     cell.gate.clear()
     with _connected(server.path) as raw:
@@ -179,6 +182,7 @@ def test_a_stop_overtakes_a_slow_command_on_its_own_connection(server: ControlSe
         assert raw.reply()["id"] == 1
 
 
+@pytest.mark.safety("SR-20")
 def test_a_start_that_a_stop_overtakes_leaves_the_cell_stopped(server: ControlServer, cell: PretendedCell) -> None:
     cell.gate.clear()
     with _connected(server.path) as slow, _connected(server.path) as quick:
@@ -207,6 +211,7 @@ def test_a_second_change_is_refused_rather_than_kept_for_later(server: ControlSe
     assert cell.told == ["pause"]
 
 
+@pytest.mark.safety("SR-20")
 def test_a_flood_of_connections_does_not_keep_a_stop_out(server: ControlServer, cell: PretendedCell) -> None:
     lines = [socket.socket(socket.AF_UNIX) for _ in range(MAX_CLIENTS + 20)]
     try:
@@ -222,6 +227,7 @@ def test_a_flood_of_connections_does_not_keep_a_stop_out(server: ControlServer, 
     assert cell.told == ["stop"]
 
 
+@pytest.mark.safety("SR-20")
 def test_a_flood_of_requests_is_held_back_but_not_the_stop_in_it(tmp_path: Path, cell: PretendedCell) -> None:
     with ControlServer(tmp_path, cell, now=lambda: 0.0) as server, _connected(server.path) as raw:
         raw.send(*[{"command": "status"}] * 400, {"command": "stop", "id": "stop"})
@@ -243,6 +249,7 @@ def test_a_request_that_is_too_long_ends_the_connection(server: ControlServer) -
         assert raw.reply() is None
 
 
+@pytest.mark.safety("SR-27")
 def test_a_request_that_is_never_finished_is_given_up(tmp_path: Path) -> None:
     times = itertools.count(0.0, 3.0)
     with ControlServer(tmp_path, PretendedCell(), now=lambda: next(times)) as server, _connected(server.path) as raw:
@@ -303,10 +310,12 @@ def test_the_server_shows_that_it_is_alive(tmp_path: Path) -> None:
         (Peer(1, 4321, 6, (7, 8)), 5, False),
     ],
 )
+@pytest.mark.safety("SR-42")
 def test_the_same_user_root_and_the_group_may_talk(peer: Peer, group: int | None, allowed: bool) -> None:
     assert peer.may_control(group) is allowed
 
 
+@pytest.mark.safety("SR-42")
 def test_a_stranger_is_told_so_and_sent_away(
     server: ControlServer, cell: PretendedCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,6 +95,7 @@ def test_steps_go_where_they_say() -> None:
     assert np.degrees(bench.arm.state().positions - angles) == pytest.approx([0, 0, 0, 0, 10], abs=1e-6)
 
 
+@pytest.mark.safety("SR-17")
 def test_straight_steps_are_straight_and_slow() -> None:
     planner = ManualPlanner(RX150, by_ruler(CELL), CELL.bin_values())
     posture = np.array(RX150.ready)
@@ -106,6 +107,7 @@ def test_straight_steps_are_straight_and_slow() -> None:
         assert steps.max() / fast.period <= REDUCED_SPEED
 
 
+@pytest.mark.safety("SR-17")
 def test_never_below_the_table() -> None:
     bench = Bench()
     while bench.tool()[2] - RX150.gripper.jaw_depth > 21.0:
@@ -137,6 +139,7 @@ def test_sag_does_not_add_up() -> None:
     assert bench.tool() == pytest.approx(first, abs=1e-3)
 
 
+@pytest.mark.safety("SR-17")
 def test_a_missing_heartbeat_stops_the_arm_on_its_path() -> None:
     bench = Bench()
     bench.dead_man.tick(0.0)
@@ -149,6 +152,7 @@ def test_a_missing_heartbeat_stops_the_arm_on_its_path() -> None:
     assert 0.0 < turned < np.radians(20.0)
 
 
+@pytest.mark.safety("SR-17")
 def test_after_a_loss_the_arm_waits_for_a_new_command_and_a_heartbeat() -> None:
     bench = Bench()
     bench.clock.watch = bench.dead_man.tick

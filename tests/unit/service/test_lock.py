@@ -17,6 +17,7 @@ from controller.service.lock import InstanceLock
 NOW = datetime(2026, 11, 22, 12, 0, 0)
 
 
+@pytest.mark.safety("SR-03")
 def test_a_second_holder_is_refused_and_told_who_holds_it(tmp_path: Path) -> None:
     with InstanceLock(tmp_path), pytest.raises(InstanceBusy, match=str(os.getpid())) as caught:
         InstanceLock(tmp_path).__enter__()

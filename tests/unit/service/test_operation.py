@@ -125,6 +125,7 @@ def test_the_cycle_is_what_it_runs_and_the_control_socket_what_it_serves() -> No
     assert all(callable(getattr(served, name)) for name in (*CHANGING, *READING, "stop"))
 
 
+@pytest.mark.safety("SR-01")
 def test_nothing_starts_before_everything_is_ready() -> None:
     operation = Operation(FACTS, lambda: ())
     assert str(operation.status().packml) == "RESETTING"
@@ -190,6 +191,7 @@ def test_what_the_state_does_not_allow_is_refused(cell: Cell, command: str) -> N
     assert cell.shows() == "STOPPED"
 
 
+@pytest.mark.safety("SR-20")
 def test_a_stop_between_a_start_and_its_work_is_not_lost() -> None:
     operation = Operation(FACTS, lambda: ())
     operation.ready()
@@ -202,6 +204,7 @@ def test_a_stop_between_a_start_and_its_work_is_not_lost() -> None:
     assert str(operation.status().packml) == "STOPPED"
 
 
+@pytest.mark.safety("SR-01", "SR-22")
 def test_a_fault_latches_until_it_is_reset_and_a_reset_starts_nothing(cell: Cell) -> None:
     work = cell.start()
     work.fail(SafetyStop("the elbow does not follow", "clear the way"))
@@ -222,6 +225,7 @@ def test_a_fault_latches_until_it_is_reset_and_a_reset_starts_nothing(cell: Cell
     cell.start()
 
 
+@pytest.mark.safety("SR-22")
 def test_the_first_fault_is_the_one_that_is_shown(cell: Cell) -> None:
     work = cell.start()
     work.fail(SafetyStop("first"))
@@ -232,6 +236,7 @@ def test_the_first_fault_is_the_one_that_is_shown(cell: Cell) -> None:
     cell.rested()
 
 
+@pytest.mark.safety("SR-07")
 def test_a_cell_that_must_be_looked_at_comes_up_aborted() -> None:
     fault = SafetyStop("three unclean starts", "look at the cell")
     with _served(lambda cell: cell.operation.ready(fault=fault, may_hold_part=True)) as cell:
@@ -265,6 +270,7 @@ COMMANDS = ("start", "pause", "resume", "stop", "reset", "fault", "rest", "turn"
 
 
 @given(st.lists(st.sampled_from(COMMANDS), max_size=40))
+@pytest.mark.safety("SR-01")
 def test_whatever_is_asked_nothing_moves_without_a_start_that_was_granted(commands: list[str]) -> None:
     """Commands come while the cell waits and while it works; a model keeps what must be true."""
     operation = Operation(FACTS, lambda: ())

@@ -93,12 +93,14 @@ def test_a_droop_is_corrected_by_the_encoders() -> None:
     assert arm.log[-2:] == ["park", "relax"]
 
 
+@pytest.mark.safety("SR-15")
 def test_a_hindered_joint_is_not_pushed_ever_harder() -> None:
     arm = Drooping(math.radians(5.0))
     work(arm, settle=True)
     assert 0.0 < np.abs(arm.corrected).max() <= 0.02 + 1e-12
 
 
+@pytest.mark.safety("SR-20")
 def test_a_stop_ends_the_work_and_parks_the_arm() -> None:
     arm = Drooping(0.0)
     with pytest.raises(SafetyStop):
@@ -106,6 +108,7 @@ def test_a_stop_ends_the_work_and_parks_the_arm() -> None:
     assert arm.log[-2:] == ["park", "relax"]
 
 
+@pytest.mark.safety("SR-23")
 def test_after_a_failure_of_the_arm_nothing_moves() -> None:
     arm = Drooping(0.0)
     with pytest.raises(ArmError):

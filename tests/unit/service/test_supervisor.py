@@ -43,6 +43,7 @@ def test_looks_twice_within_the_managers_interval() -> None:
     assert Supervisor(lambda: None, None).period == STANDALONE_PERIOD
 
 
+@pytest.mark.safety("SR-26")
 def test_one_loop_that_stands_still_among_many_is_enough() -> None:
     bench = Bench()
     loops = [bench.supervisor.register(name) for name in ("cycle", "control", "camera")]
@@ -180,6 +181,7 @@ def _falls_silent(line: socket.socket) -> bool:
     return False
 
 
+@pytest.mark.safety("SR-26")
 def test_a_stopped_process_says_nothing_and_goes_on_when_continued(tmp_path: Path) -> None:
     with _child(tmp_path, "pass") as (process, line):
         assert [line.recv(4096) for _ in range(3)] == [b"WATCHDOG=1"] * 3
@@ -194,6 +196,7 @@ def test_a_stopped_process_says_nothing_and_goes_on_when_continued(tmp_path: Pat
             heard = line.recv(4096)
 
 
+@pytest.mark.safety("SR-26")
 def test_a_loop_that_spins_without_progress_ends_the_reassurance(tmp_path: Path) -> None:
     with _child(tmp_path, "while True: pass") as (process, line):
         assert line.recv(4096) == b"WATCHDOG=1"

@@ -74,6 +74,7 @@ def test_the_unit_keeps_what_the_service_relies_on(line: str) -> None:
     assert line in _file(_plan(), "controller.service").content.splitlines()
 
 
+@pytest.mark.safety("SR-01")
 def test_the_unit_starts_nothing_that_moves() -> None:
     assert "--start" not in _file(_plan(), "controller.service").content
 

@@ -337,6 +337,7 @@ def test_position_mode_starts_within_one_turn_and_extended_mode_counts() -> None
 # --- watchdog, errors ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.safety("SR-25")
 def test_the_bus_watchdog_stops_the_servo_and_refuses_goals_until_cleared() -> None:
     client, plant, _ = rig()
     client.write("Torque_Enable", 1)

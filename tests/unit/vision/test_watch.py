@@ -56,6 +56,7 @@ def test_it_is_a_camera_and_passes_good_pictures_on() -> None:
     ("kind", "says"),
     [("black", "black: check the light"), ("overexposed", "overexposed"), ("torn", "lower part of every picture")],
 )
+@pytest.mark.safety("SR-31")
 def test_an_unusable_picture_is_refused_while_it_lasts(kind: str, says: str) -> None:
     camera, clock = watched(CameraFault(kind, 1.0, 20.0))
     camera.capture(clock.now())
@@ -67,12 +68,14 @@ def test_an_unusable_picture_is_refused_while_it_lasts(kind: str, says: str) -> 
     camera.capture(clock.now())
 
 
+@pytest.mark.safety("SR-31")
 def test_a_torn_picture_is_passed_over_and_counted() -> None:
     camera, _ = watched(CameraFault("torn", 0.0, 0.35))
     assert camera.capture(0.0).frame_id == 4
     assert camera.torn == 3
 
 
+@pytest.mark.safety("SR-31")
 def test_a_frozen_stream_is_refused_at_its_first_repetition_and_as_long_as_it_lasts() -> None:
     camera, clock = watched(CameraFault("frozen", 1.0, 10.0))
     camera.capture(0.0)
@@ -133,6 +136,7 @@ def test_an_unknown_fault_is_a_mistake() -> None:
         FaultyCamera(NoisyCamera(clock), clock, [CameraFault("blak", 0.0, 1.0)])
 
 
+@pytest.mark.safety("SR-31")
 def test_a_camera_that_was_moved_is_refused_while_its_scenery_is_known() -> None:
     camera, clock = watched()
     table = np.zeros((480, 640, 3), np.uint8)
