@@ -19,6 +19,7 @@ PARAMETERS = 8
 """Parameters of any family, padded: (cx, cy, three sizes, three turns)."""
 _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
+_THREE = np.arange(3)
 _SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6, 8)}
 _BEFORE = {n: np.arange(-1, n - 1) for n in (3, 4, 6, 8)}
 _AFTER = {n: np.arange(1, n + 1) % n for n in (3, 4, 6, 8)}
@@ -26,7 +27,23 @@ _AFTER = {n: np.arange(1, n + 1) % n for n in (3, 4, 6, 8)}
 
 @dataclass(slots=True, eq=False)
 class Batch:
-    """Outlines being refined; arrays have one row an object."""
+    """Outlines being refined; arrays have one row an object.
+
+    Attributes:
+        families: The family of each.
+        index: ndarray of shape (K,): which object of the local maps each belongs to.
+        q: ndarray of shape (K, PARAMETERS): padded parameters.
+        blur: ndarray of shape (K,), px.
+        base: ndarray of shape (K, CHUNKS): direction of each chunk's normal at turn 0, rad.
+        size_of: ndarray of shape (K, CHUNKS): which parameter is the distance of each chunk's side from the centre.
+        turn_of: ndarray of shape (K, CHUNKS): which parameter turns it.
+        sizes: ndarray of shape (K, CHUNKS, 3): -1 for the size each chunk follows, else 0.
+        turns: ndarray of shape (K, CHUNKS, 3): 1 for the turn it follows; 0 for circles.
+        round_: ndarray of shape (K,), bool: circles.
+        moves: ndarray of shape (K, 1): 1 where the centre is free, else 0.
+        group: ndarray of shape (K,): how many chunks in a row move together.
+        kinds: The rows of each family.
+    """
 
     families: list[Family]
     index: NDArray[np.intp]
@@ -35,64 +52,72 @@ class Batch:
     base: Floats
     size_of: NDArray[np.intp]
     turn_of: NDArray[np.intp]
+    sizes: Floats
+    turns: Floats
     round_: NDArray[np.bool_]
-    moves: NDArray[np.bool_]
+    moves: Floats
     group: NDArray[np.intp]
+    kinds: list[tuple[Family, NDArray[np.intp]]]
 
     def geometry(self) -> tuple[Floats, Floats]:
         """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
-        rows = np.arange(len(self.q))[:, None]
-        turn = self.base + np.where(self.round_[:, None], 0.0, self.q[rows, 5 + self.turn_of])
-        reach = self.q[rows, 2 + self.size_of]
-        return np.stack([np.cos(turn), np.sin(turn)], axis=-1), reach
+        turn = self.base + np.where(self.round_[:, None], 0.0, np.take_along_axis(self.q, self.turn_of, axis=1))
+        return np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.take_along_axis(self.q, self.size_of, axis=1)
 
     def by_family(self) -> list[tuple[Family, NDArray[np.intp], Floats]]:
         """The outlines of each family: which rows they are, and their own parameters (K, P)."""
-        out = []
-        for family in dict.fromkeys(self.families):
-            rows = np.array([i for i, other in enumerate(self.families) if other is family])
-            own = [*range(2 + family.sizes), *range(5, 5 + family.turns)]
-            out.append((family, rows, self.q[rows][:, own]))
-        return out
+        return [(family, rows, self.q[rows][:, _own(family)]) for family, rows in self.kinds]
+
+    def some(self, rows: NDArray[np.intp]) -> Batch:
+        """A batch of some of the rows, with parameters of its own."""
+        families = [self.families[i] for i in rows]
+        return Batch(
+            families, self.index[rows], self.q[rows], self.blur[rows], self.base[rows], self.size_of[rows],
+            self.turn_of[rows], self.sizes[rows], self.turns[rows], self.round_[rows], self.moves[rows],
+            self.group[rows], _kinds(families),
+        )  # fmt: skip
 
 
-def pad(family: Family, q: Floats) -> Floats:
-    """A family's parameters in the places that all families share."""
-    out = np.zeros(PARAMETERS)
-    out[: 2 + family.sizes] = q[: 2 + family.sizes]
-    out[5 : 5 + family.turns] = q[2 + family.sizes :]
-    return out
+def _own(family: Family) -> NDArray[np.intp]:
+    """Places of a family's parameters among the padded ones."""
+    return np.array([*range(2 + family.sizes), *range(5, 5 + family.turns)])
+
+
+def _kinds(families: Sequence[Family]) -> list[tuple[Family, NDArray[np.intp]]]:
+    rows: dict[Family, list[int]] = {}
+    for i, family in enumerate(families):
+        rows.setdefault(family, []).append(i)
+    return [(family, np.array(which)) for family, which in rows.items()]
 
 
 def unpad(family: Family, q: Floats) -> Floats:
-    """The family's own parameters, the inverse of `pad`."""
+    """A family's own parameters from the places that all families share."""
     return np.concatenate([q[: 2 + family.sizes], q[5 : 5 + family.turns]])
 
 
 def batch_of(families: Sequence[Family], qs: Sequence[Floats], index: Sequence[int], blur: float) -> Batch:
     """Outlines as one batch; `index` says which object of the local maps each belongs to."""
     count = len(families)
+    padded = np.zeros((count, PARAMETERS))
     base = np.empty((count, CHUNKS))
-    size_of = np.zeros((count, CHUNKS), np.intp)
-    turn_of = np.zeros((count, CHUNKS), np.intp)
-    for i, family in enumerate(families):
+    size_of, turn_of = np.zeros((2, count, CHUNKS), np.intp)
+    group = np.empty(count, np.intp)
+    kinds = _kinds(families)
+    for family, rows in kinds:
+        padded[np.ix_(rows, _own(family))] = np.array([qs[i] for i in rows])
+        group[rows] = CHUNKS if family.sizes == 1 else CHUNKS // len(family.normals)
         if family is CIRCLE:
-            base[i] = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
+            base[rows] = (np.arange(CHUNKS) + 0.5) * 2.0 * math.pi / CHUNKS
         else:
             side = _SIDE[len(family.normals)]
-            base[i], size_of[i], turn_of[i] = family.normals[side], family.size_of[side], family.turn_of[side]
+            base[rows], size_of[rows], turn_of[rows] = family.normals[side], family.size_of[side], family.turn_of[side]
+    circles = np.array([f is CIRCLE for f in families], bool)
     return Batch(
-        list(families),
-        np.asarray(index, np.intp),
-        np.array([pad(f, q) for f, q in zip(families, qs, strict=True)]),
-        np.full(count, blur),
-        base,
-        size_of,
-        turn_of,
-        np.array([f is CIRCLE for f in families]),
-        np.array([f.moves for f in families]),
-        np.array([CHUNKS if f.sizes == 1 else CHUNKS // len(f.normals) for f in families]),
-    )
+        list(families), np.asarray(index, np.intp), padded, np.full(count, blur), base, 2 + size_of, 5 + turn_of,
+        -(size_of[..., None] == _THREE).astype(np.float64),
+        (turn_of[..., None] == _THREE) * ~circles[:, None, None] * 1.0,
+        circles, np.array([[f.moves] for f in families], np.float64), group, kinds,
+    )  # fmt: skip
 
 
 def chunk_ends(batch: Batch, maps: LocalMaps) -> tuple[Floats, Floats, Floats]:
@@ -158,43 +183,51 @@ def corners(family: Family, q: Floats) -> Floats:
     return q[:, None, :2] + np.stack([x, y], axis=2)
 
 
-def side_distance(batch: Batch, dx: Floats, dy: Floats, chord: Floats) -> tuple[Floats, Floats]:
-    """Signed distance (K, CHUNKS, D) from each sample's own side, and its derivatives (K, CHUNKS, 8).
+def side_distance(batch: Batch, middle: Floats, chord: Floats) -> tuple[Floats, Floats]:
+    """Signed distance (K, CHUNKS) of each chunk's middle from its side, and its derivatives (K, CHUNKS, PARAMETERS).
 
     The samples of a chunk lie along its normal, so that they share their derivatives.
+
+    Args:
+        batch: The outlines.
+        middle: ndarray of shape (K, CHUNKS, 2), local coordinates.
+        chord: ndarray of shape (K, CHUNKS): lengths of the chunks.
     """
     normal, reach = batch.geometry()
     n_x, n_y = normal[..., 0], normal[..., 1]
-    distance = dx * n_x[..., None] + dy * n_y[..., None] - reach[..., None]
+    dx, dy = middle[..., 0] - batch.q[:, :1], middle[..., 1] - batch.q[:, 1:2]
+    distance = dx * n_x + dy * n_y - reach
     if batch.round_.any():
-        r = batch.round_
         # The mean distance of a chord's points is longer than its middle's.
-        distance[r] = np.sqrt(dx[r] ** 2 + dy[r] ** 2 + chord[r][..., None] ** 2 / 12.0) - reach[r][..., None]
+        far = np.sqrt(dx**2 + dy**2 + chord**2 / 12.0) - reach
+        distance = np.where(batch.round_[:, None], far, distance)
     jacobian = np.empty((*n_x.shape, PARAMETERS))
-    moves = batch.moves[:, None]
-    jacobian[..., 0], jacobian[..., 1] = -n_x * moves, -n_y * moves
-    turning = np.where(batch.round_[:, None], 0.0, dy.mean(axis=2) * n_x - dx.mean(axis=2) * n_y)
-    for i in range(3):
-        jacobian[..., 2 + i] = np.where(batch.size_of == i, -1.0, 0.0)
-        jacobian[..., 5 + i] = np.where(batch.turn_of == i, turning, 0.0)
+    jacobian[..., :2] = normal * -batch.moves[..., None]
+    jacobian[..., 2:5] = batch.sizes
+    jacobian[..., 5:] = batch.turns * (dy * n_x - dx * n_y)[..., None]
     return distance, jacobian
 
 
-def clear_of_corners(batch: Batch, local: Floats) -> NDArray[np.bool_]:
-    """Samples whose distance to every other side is larger than the blur reaches."""
-    clear = np.ones(local.shape[:3], bool)
+def clear_of_corners(batch: Batch, middle: Floats, outwards: Floats) -> tuple[Floats, Floats]:
+    """How far inwards and outwards (K, CHUNKS) profiles reach before another side's edge blurs into them, px.
+
+    Args:
+        batch: The outlines.
+        middle: ndarray of shape (K, CHUNKS, 2), local coordinates.
+        outwards: ndarray of shape (K, CHUNKS, 2): how those change with 1 px along the profile.
+    """
+    low, high = np.full(middle.shape[:2], -np.inf), np.full(middle.shape[:2], np.inf)
     for family, rows, q in batch.by_family():
         if family is CIRCLE:
             continue
         turns = q[:, 2 + family.sizes :][:, family.turn_of] + family.normals
-        cos, sin = np.cos(turns), np.sin(turns)
+        normals = np.stack([np.cos(turns), np.sin(turns)], axis=1)
         limit = q[:, 2 + family.size_of] - _CORNER * 0.8 * batch.blur[rows, None]
-        limit += q[:, :1] * cos + q[:, 1:2] * sin
-        x, y = local[rows, :, :, 0], local[rows, :, :, 1]
-        inside = np.ones(x.shape, bool)
-        for i in range(len(family.normals)):
-            c, s, most = (values[:, i, None, None] for values in (cos, sin, limit))
-            other = _SIDE[len(family.normals)] != i
-            inside &= (x * c + y * s < most) | ~other[:, None]
-        clear[rows] = inside
-    return clear
+        room = limit[:, None] - (middle[rows] - q[:, None, :2]) @ normals
+        rate = outwards[rows] @ normals
+        own = np.arange(len(family.normals)) == _SIDE[len(family.normals)][:, None]
+        rate = np.where(own | (np.abs(rate) < 1e-6), 1e-6, rate)
+        ends = np.where(own, np.inf, room) / rate
+        high[rows] = np.where(rate > 0.0, ends, np.inf).min(axis=2)
+        low[rows] = np.where(rate < 0.0, ends, -np.inf).max(axis=2)
+    return low, high

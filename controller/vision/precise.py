@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import MutableMapping
 from dataclasses import replace
 
@@ -14,10 +13,10 @@ from controller.geometry import PlaneMap
 from controller.vision.background import Box, Whitened, whiten
 from controller.vision.fitting import Hypothesis, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
+from controller.vision.noise import pixel_noise, without_spikes
 from controller.vision.proposals import Region, propose, split_necks
 from controller.vision.rays import find_edges, radial_profile
 from controller.vision.recipe import Precise
-from controller.vision.refine import pixel_noise
 from controller.vision.scene import Found, Scene
 from controller.vision.timing import Stopwatch
 from controller.vision.verdict import explained, judge, refined_outlines, settled
@@ -123,21 +122,6 @@ def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
         size = (image.shape[1] // factor, image.shape[0] // factor)
         clean = cv2.resize(clean[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), 1.0), np.float32)
-
-
-def without_spikes(image: NDArray[np.uint8], noise: Floats) -> NDArray[np.uint8]:
-    """The image with impulses replaced by their neighbourhood's median; the image itself when it has none."""
-    limit = max(40.0, 8.0 * math.sqrt(float(noise.trace()) / 3.0))
-    if image.shape[0] < 64:
-        return image
-    rows = image[: image.shape[0] // 64 * 64].reshape(-1, 64, *image.shape[1:])[:, :3].reshape(-1, *image.shape[1:])
-    spikes = np.count_nonzero(cv2.absdiff(rows, cv2.medianBlur(rows, 3)) > limit)
-    # Corners of objects and print also change under a median, but on fewer than one pixel in a thousand.
-    if spikes < 2e-3 * rows.size:
-        return image
-    clean = np.asarray(cv2.medianBlur(image, 3), np.uint8)
-    mask = (cv2.absdiff(image, clean).max(axis=2) > limit).astype(np.uint8)
-    return np.asarray(cv2.copyTo(clean, mask, image.copy()), np.uint8)
 
 
 def _box(mask: NDArray[np.uint8]) -> Box | None:

@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 
 CHUNKS = 24
 """Chunks of an outline: divisible by the 3, 4 and 6 sides of the families."""
 _GRID = 32.0
 """Interpolation positions of `cv2.remap` to a pixel: samples are put exactly there, so none is moved unseen."""
+_MOST_ROWS = 30_000
+"""Rows of one `cv2.remap`, whose row index has 16 bits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,14 +28,16 @@ class Profiles:
     """Averaged profiles of the C chunks of K outlines.
 
     Attributes:
-        values: ndarray of shape (K, C, D, 3), BGR levels.
-        pixels: ndarray of shape (K, C, D, 2): mean position of the samples, px.
+        values: ndarray of shape (K, C, D, 3), dtype float32, BGR levels.
+        middle: ndarray of shape (K, C, 2): mean position of the lines, px.
+        offset: ndarray of shape (K, C, D), dtype float32: how far outwards from there each sample lies, px.
         lines: ndarray of shape (K, C): lines averaged, about the chunk's length in px.
         inside: ndarray of shape (K, C, D), bool: the sample lies within the picture.
     """
 
-    values: Floats
-    pixels: Floats
+    values: Floats32
+    middle: Floats
+    offset: Floats32
     lines: Floats
     inside: NDArray[np.bool_]
 
@@ -51,43 +56,44 @@ def sample(
         columns: Samples of a profile, D.
     """
     count, chunks = starts.shape[:2]
-    along = (ends - starts).reshape(-1, 2)
-    length = np.hypot(along[:, 0], along[:, 1])
-    lines = np.clip(np.ceil(length), 1, 64).astype(np.intp)
-    first = np.concatenate([[0], np.cumsum(lines)[:-1]])
+    begin = starts.reshape(-1, 2)
+    along = ends.reshape(-1, 2) - begin
+    lines = np.clip(np.ceil(np.hypot(along[:, 0], along[:, 1])), 1, 64).astype(np.intp)
+    last = np.cumsum(lines)
+    first = last - lines
     chunk = np.repeat(np.arange(len(lines)), lines)
-    part = (np.arange(len(chunk)) - first[chunk] + 0.5) / lines[chunk]
-    # On the grid, positions and their sums over a chunk are exact in single precision.
-    base = ((starts.reshape(-1, 2)[chunk] + along[chunk] * part[:, None]) * _GRID).astype(np.float32)
-    offset = np.repeat(reach * _GRID, chunks)[:, None] * np.linspace(-1.0, 1.0, columns)
+    step = along / lines[:, None]
+    # The place of each line, and of each sample on it, is rounded to the grid by itself: so is their sum.
+    base = (begin - (first - 0.5)[:, None] * step)[chunk] + np.arange(len(chunk))[:, None] * step[chunk]
+    base = np.rint(base * _GRID) / _GRID
     normal = normals.reshape(-1, 2)
+    wide = np.repeat(reach, chunks)[:, None] * np.linspace(-1.0, 1.0, columns)
+    apart = np.rint(normal[:, :, None] * (wide * _GRID)[:, None]) / _GRID
+    places = apart.astype(np.float32)[chunk]
+    places += base.astype(np.float32)[:, :, None]
+    raw = _remap(image, places[:, 0], places[:, 1]).reshape(len(chunk), -1)
     scale = 1.0 / lines[:, None]
-    steps, means = [], []
-    for i in range(2):
-        position = (normal[:, i, None] * offset).astype(np.float32)[chunk]
-        position += base[:, i, None]
-        np.rint(position, out=position)
-        position *= np.float32(1.0 / _GRID)
-        steps.append(position)
-        means.append(np.add.reduceat(position, first, axis=0) * scale)
-    raw = _remap(image, *steps).reshape(len(chunk), -1)
-    values = np.add.reduceat(raw, first, axis=0) * scale
-    mean_x, mean_y = means
+    values = np.add.reduceat(raw, first, axis=0)
+    values *= scale.astype(np.float32)
+    middle = np.add.reduceat(base, first, axis=0) * scale
+    x, y = middle[:, :1] + apart[:, 0], middle[:, 1:] + apart[:, 1]
     height, width = image.shape[:2]
-    inside = (mean_x >= 0.5) & (mean_x <= width - 1.5) & (mean_y >= 0.5) & (mean_y <= height - 1.5)
+    inside = (x >= 0.5) & (x <= width - 1.5) & (y >= 0.5) & (y <= height - 1.5)
+    offset = normal[:, :1] * apart[:, 0] + normal[:, 1:] * apart[:, 1]
     shape = (count, chunks, columns)
     return Profiles(
         values.reshape(*shape, 3),
-        np.stack([mean_x, mean_y], axis=-1).reshape(*shape, 2),
+        middle.reshape(count, chunks, 2),
+        offset.astype(np.float32).reshape(shape),
         lines.reshape(count, chunks).astype(np.float64),
         inside.reshape(shape),
     )
 
 
-def _remap(image: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Bilinear samples, shape (N, D, 3), in blocks short enough for OpenCV's 16-bit row index."""
+def _remap(image: NDArray[np.uint8], x: Floats32, y: Floats32) -> Floats32:
+    """Bilinear samples, shape (N, D, 3)."""
     blocks = []
-    for start in range(0, len(x), 30_000):
-        block = slice(start, start + 30_000)
+    for start in range(0, len(x), _MOST_ROWS):
+        block = slice(start, start + _MOST_ROWS)
         blocks.append(cv2.remap(image, x[block], y[block], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    return np.concatenate(blocks).astype(np.float32)
+    return np.asarray(blocks[0] if len(blocks) == 1 else np.concatenate(blocks)).astype(np.float32)

@@ -95,7 +95,9 @@ def _without_octagons(scene: Scene, accepted: list[Judged]) -> list[Judged]:
         restarts=0,
     )  # fmt: skip
     octagons = {
-        id(item) for item, r in zip(suspects, refined, strict=True) if r is not None and r.chi < 0.5 * item.refined.chi
+        id(item)
+        for item, r in zip(suspects, refined, strict=True)
+        if r is not None and r.visible > 0.8 and r.chi < 0.5 * item.refined.chi
     }
     return [item for item in accepted if id(item) not in octagons]
 
