@@ -138,6 +138,18 @@ class Devices:
             first.remedy = "; ".join(dict.fromkeys(failure.remedy for failure in failures if failure.remedy))
             raise first
 
+    def reopen(self) -> None:
+        """Open camera and arm again, whatever has become of them. Moves nothing.
+
+        Raises:
+            DeviceError: One of them is not there or not in order; the other is open.
+        """
+        for device in (self.camera, self.arm):
+            device.close()
+            if device.close in self.closers:
+                self.closers.remove(device.close)
+        self.open()
+
     def close(self) -> None:
         """Release everything, last opened first."""
         while self.closers:

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from controller.backends import Level
 from controller.cli.config import default_config
+from controller.cli.control import At, control_folder
 from controller.cli.motion import AsJson, BinsFile, Calibration, ConfigFile, Sim, manual_options, taught_file
 from controller.cli.output import stdout
 from controller.config.arm import load_arm
@@ -18,6 +19,7 @@ from controller.config.taught import load_taught, moved, save_taught, with_taugh
 from controller.cycle.preflight import check
 from controller.errors import InputError
 from controller.motion.planner import Planner
+from controller.service.client import ControlClient
 from controller.service.manual import calibration_of, manual_cell
 
 group = typer.Typer(help="Where the bins stand; teach one by jogging to it.", no_args_is_help=True)
@@ -84,6 +86,19 @@ def set_(
         print(json.dumps({"bin": name, "center_mm": [round(at[0], 2), round(at[1], 2)], "file": str(path)}))
     else:
         print(f"{name} stands at {at[0]:.1f}, {at[1]:.1f} mm; kept in {path}")
+
+
+@group.command("emptied")
+def emptied(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="The bin; all of them when left out.")] = None,
+    at: At = None,
+) -> None:
+    """Tell the running cell that a bin was emptied: it counts what lies in it from nothing again. Moves nothing.
+
+    Example: controller bins emptied squares
+    """
+    ControlClient(control_folder(at)).ask("emptied", **({} if name is None else {"bin": name}))
+    print(f"{name or 'every bin'} counts as empty")
 
 
 def add_to(app: typer.Typer) -> None:

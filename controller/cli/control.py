@@ -124,10 +124,15 @@ def add_to(app: typer.Typer) -> None:
         app.command(command.__name__)(command)
 
 
-def _client(at: Path | None) -> ControlClient:
+def control_folder(at: Path | None) -> Path:
+    """Folder of the running cell's control socket: the one named, or the service's."""
     if at is not None and not at.is_dir():
         raise SorterError(f"{at}: no such folder", "name the folder of a running cell with --at")
-    return ControlClient(at or folder_of_running_cell())
+    return at or folder_of_running_cell()
+
+
+def _client(at: Path | None) -> ControlClient:
+    return ControlClient(control_folder(at))
 
 
 def _show(found: Mapping[str, Any], as_json: bool) -> None:

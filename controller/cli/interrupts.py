@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a request, so that the arm comes to rest along its path."""
+"""Signals as requests: Ctrl-C and SIGTERM so that the arm comes to rest along its path, SIGHUP to read again."""
 
 from __future__ import annotations
 
@@ -29,6 +29,16 @@ def on_interrupt(stop: Callable[[], None], message: str) -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def on_hangup(reload: Callable[[], None]) -> Iterator[None]:
+    """Call `reload` on SIGHUP, as a service manager sends it."""
+    before = signal.signal(signal.SIGHUP, lambda number, frame: reload())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def exit_code(received: list[int]) -> int:

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from controller.backends import Level, Mode
 from controller.cli.config import default_config
-from controller.cli.interrupts import exit_code, on_interrupt
+from controller.cli.interrupts import exit_code, on_hangup, on_interrupt
 from controller.cli.motion import taught_file
 from controller.cli.output import stderr, stdout
 from controller.cli.progress import Progress
@@ -79,10 +79,12 @@ def run(
     if faults is not None and mode is not Mode.SIM:
         raise typer.BadParameter("--faults belongs to --sim")
     rehearsal = _rehearsal(mode, dry_run, air_run)
-    cell = _cell(config, mode, arm, speed)
     taught = taught_file(bins, sim=mode is not Mode.REAL)
-    if taught is not None:
-        cell = with_taught(cell, taught)
+
+    def read() -> CellConfig:
+        cell = _cell(config, mode, arm, speed)
+        return cell if taught is None else with_taught(cell, taught)
+
     # The journal gets records with fields; a person gets the progress, and log lines only for what is beside it.
     structured = goes_to_journal()
     cycle_log = CycleLog(aloud=structured)
@@ -92,7 +94,8 @@ def run(
     session = Session(
         RunOptions(
             mode=mode,
-            config=cell,
+            config=read(),
+            reread=read,
             out=out,
             replay=replay,
             calibration=calibration,
@@ -110,7 +113,8 @@ def run(
         )
     )
     stopping = on_interrupt(session.stop, "stopping: the arm parks; once more gives up waiting")
-    with logging_to_its_place(cycle_log), stopping as received, progress, film or nullcontext():
+    reloading = on_hangup(session.reload) if mode is Mode.REAL else nullcontext()
+    with logging_to_its_place(cycle_log), stopping as received, reloading, progress, film or nullcontext():
         figures = session.run()
     if figures:
         if as_json:

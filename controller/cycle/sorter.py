@@ -79,7 +79,7 @@ class Sorter:
         self._until_empty = until_empty
         self._most_parts = most_parts
         self._book = TargetBook(target_prefix)
-        self._stock = Stock(rig.config, Counter() if filled is None else filled)
+        self._filled = Counter() if filled is None else filled
         self._energised = False
         self._concluded = 0
         self._stop = threading.Event()
@@ -97,11 +97,9 @@ class Sorter:
         self._go_on = threading.Event()
         self._unwritten: list[Outcome] = []
         self._concerns = Concerns(rig)
-        self._planner = rig.planner
         self._picks_from_look = 0
-        self._plane = rig.calibration.plane(_typical_half_height(rig))
-        self._region: NDArray[np.uint8] | None = None
-        self._view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
+        self._next_rig: Rig | None = None
+        self._adopt(rig)
         self._handlers: dict[State, Callable[[], str]] = {
             State.HOMING: self._home,
             State.CAPTURE: self._capture,
@@ -112,6 +110,15 @@ class Sorter:
             State.IDLE: self._idle,
             State.HELD: self._hold,
         }
+
+    def _adopt(self, rig: Rig) -> None:
+        """Take over a rig, and what follows from its configuration."""
+        self.rig, self._next_rig = rig, None
+        self._planner = rig.planner
+        self._stock = Stock(rig.config, self._filled)
+        self._plane = rig.calibration.plane(_typical_half_height(rig))
+        self._region: NDArray[np.uint8] | None = None
+        self._view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
 
     # --- from outside ---------------------------------------------------------------------------------
 
@@ -128,6 +135,14 @@ class Sorter:
         """Go on after `request_pause`, or when the part that stuck to the jaws is gone; from any thread."""
         self._pause.clear()
         self._go_on.set()
+
+    def change(self, rig: Rig) -> None:
+        """Work with another configuration from the next look on; from any thread.
+
+        Args:
+            rig: The same devices, record and observers.
+        """
+        self._next_rig = rig
 
     def run(self) -> None:
         """Sort. Moves metal, blocks until the cell is STOPPED or FAULT."""
@@ -178,6 +193,8 @@ class Sorter:
             return "held"
         if self._most_parts is not None and self._concluded >= self._most_parts:
             return "stopped"
+        if self._next_rig is not None:
+            self._adopt(self._next_rig)
         if self._retreat is not None and not self._view_is_clear():
             self._step_back()
         if self._retreat is None:

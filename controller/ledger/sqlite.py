@@ -58,6 +58,7 @@ class SqliteLedger(LedgerReader):
     Attributes:
         indeterminate: Targets that opening has settled as INDETERMINATE: the gripper or the table may hold them.
         unclean_runs: Number of runs that were cut off: the process was killed, or the power went.
+        unclean_in_a_row: How many runs were cut off since the last that ended in good order.
         set_aside: Where a damaged ledger was moved, or None.
 
     Raises:
@@ -73,7 +74,7 @@ class SqliteLedger(LedgerReader):
         self._run_id: int | None = None
         self.set_aside: Path | None = None
         self.indeterminate: tuple[OpenTarget, ...] = ()
-        self.unclean_runs = 0
+        self.unclean_runs = self.unclean_in_a_row = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -296,6 +297,9 @@ class SqliteLedger(LedgerReader):
                 (str(Result.INDETERMINATE), reason, open_.attempts, self._now(), open_.run_id, open_.target_id),
             )
         self.unclean_runs = ask("UPDATE runs SET end_reason = 'unclean' WHERE end_reason IS NULL").rowcount
+        last_clean = "SELECT max(run_id) FROM runs WHERE end_reason <> 'unclean'"
+        row = ask(f"SELECT count(*) FROM runs WHERE run_id > coalesce(({last_clean}), 0)").fetchone()
+        self.unclean_in_a_row = int(row[0])
         if self.unclean_runs or self.indeterminate:
             details = {"runs": self.unclean_runs, "targets": [open_.target_id for open_ in self.indeterminate]}
             self._insert_event("reconciled", self._clock.now(), details)

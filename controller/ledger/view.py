@@ -116,6 +116,17 @@ class LedgerReader:
             found["targets"] = int(targets.fetchone()[0])
         return found
 
+    def in_bins(self) -> dict[str, int]:
+        """Parts put into each bin, by name, since an event `emptied` named it (or, without a `bin`, all of them)."""
+        with as_ledger_error(self.path, "read"):
+            return dict(
+                self._connection.execute(
+                    "SELECT o.bin, count(*) FROM outcomes o WHERE o.result IN ('placed', 'rejected') AND o.wall >"
+                    " coalesce((SELECT max(wall) FROM events WHERE kind = 'emptied'"
+                    " AND coalesce(json_extract(details, '$.bin'), o.bin) = o.bin), '') GROUP BY o.bin"
+                )
+            )
+
     def verify(self) -> tuple[str, ...]:
         """Everything that is wrong with the file or the record; empty for a sound ledger.
 

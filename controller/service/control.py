@@ -15,6 +15,7 @@ A Unix stream socket, `control.sock`. A request is one line, a JSON object; so i
 | `stop` | slows down along the path, parks, torque off | null: it is under way; ask for the status |
 | `reset` | clears a latched fault; nothing moves | the status |
 | `acknowledge` (`alarm`: its number; left out: all) | notes that alarms were seen; clears nothing | how many |
+| `emptied` (`bin`: its name; left out: all) | counts what lies in a bin from nothing again | null |
 | `reload` | reads the configuration again, for the next cycle | what has changed |
 
 `id` is the caller's and comes back with the reply. Replies come as they get ready: a `stop` behind a slow command
@@ -96,6 +97,7 @@ class ControlServer:
         group: Group whose members may talk to it besides the service's own user and root, see `operators`;
             None for none.
         progress: Called at least twice a second while the server is alive, for the supervisor.
+        commanded: Told every command that has changed something, and the user who gave it; never waited for.
         now: Monotonic seconds.
 
     Raises:
@@ -109,12 +111,14 @@ class ControlServer:
         *,
         group: int | None = None,
         progress: Callable[[], None] = lambda: None,
+        commanded: Callable[[str, int], None] = lambda command, uid: None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = folder / SOCKET
         self._commands = Commands(controls)
         self._group = group
         self._progress = progress
+        self._commanded = commanded
         self._now = now
         self._clients: set[_Client] = set()
         self._budget: dict[int, tuple[float, float]] = {}
@@ -228,6 +232,7 @@ class ControlServer:
             if request.command == "stop" and not request.given:
                 _log.warning("stop asked for by user %d, process %d", client.peer.uid, client.peer.pid)
                 self._answer(client, request, outcome(self._commands.stop))
+                self._reading.offer(lambda: self._commanded("stop", client.peer.uid), lambda: None)
                 return
             self._spend(client)
             self._hand_over(client, request, self._commands.call(request))
@@ -245,8 +250,13 @@ class ControlServer:
                 self._finished.append((job, reply))
             self._ring()
 
+        def work() -> None:
+            reply.update(outcome(call))
+            if worker is self._changing and reply["ok"]:
+                self._commanded(str(request.command), client.peer.uid)
+
         worker = self._reading if request.command in READING else self._changing
-        if not worker.offer(lambda: reply.update(outcome(call)), then):
+        if not worker.offer(work, then):
             raise BadRequest("busy", "another command is still being worked on", "ask again when it has ended")
         self._pending.add(job)
 

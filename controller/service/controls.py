@@ -111,6 +111,10 @@ class Controls(Protocol):
         """Note that one alarm, or all, were seen; how many were new."""
         ...
 
+    def emptied(self, name: str | None) -> None:
+        """A bin, or (None) every bin, was emptied: its count begins anew."""
+        ...
+
     def reload(self) -> tuple[str, ...]:
         """Read the configuration again, for the next cycle; what has changed."""
         ...

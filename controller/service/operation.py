@@ -19,7 +19,7 @@ from controller import __version__
 from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import Outcome, PickPlan, Result
-from controller.errors import SorterError
+from controller.errors import DeviceError, SorterError
 from controller.service.alarms import Alarm, AlarmLog
 from controller.service.controls import Refused, Status
 from controller.service.faults import CATALOGUE, fault_code, remedy
@@ -74,6 +74,9 @@ class Operation(Observer):
     Args:
         facts: What does not change with the state; `reload` may give it a new value.
         reload: Reads the configuration again and says what has changed.
+        emptied: Told that a bin, or (None) every bin, was emptied.
+        recover: Opens the devices again after a fault of theirs was reset; called in the waiting thread, moves
+            nothing, may raise any SorterError. None: nothing can be opened again.
         say: Told the state as one line whenever it changes, e.g. the service manager.
         alarms: Where faults are kept.
         now: Monotonic seconds.
@@ -84,6 +87,8 @@ class Operation(Observer):
         facts: CellFacts,
         reload: Callable[[], tuple[str, ...]],
         *,
+        emptied: Callable[[str | None], None] = lambda name: None,
+        recover: Callable[[], None] | None = None,
         say: Callable[[str], None] = lambda line: None,
         alarms: AlarmLog | None = None,
         now: Callable[[], float] = time.monotonic,
@@ -91,6 +96,9 @@ class Operation(Observer):
         self.facts = facts
         self.alarm_log = alarms or AlarmLog()
         self._reload = reload
+        self._emptied = emptied
+        self._recover = recover
+        self._recovery_due = False
         self._say = say
         self._now = now
         self._began = self._since = now()
@@ -121,14 +129,21 @@ class Operation(Observer):
     def wait_for_start(self, beat: Callable[[], None]) -> bool:
         """Wait until somebody starts the cell; False when it is to end instead.
 
+        What a reset asks for is done here meanwhile.
+
         Args:
             beat: Called at least once a second, for the supervisor.
         """
-        with self._changed:
-            while not self._started and not self._ended:
-                beat()
-                self._changed.wait(_BEAT)
-            return not self._ended
+        while True:
+            with self._changed:
+                while not self._started and not self._ended and not self._recovery_due:
+                    beat()
+                    self._changed.wait(_BEAT)
+                if self._started or self._ended:
+                    return not self._ended
+                self._recovery_due = False
+            beat()
+            self._open_again()
 
     def sort(self, work: Work) -> None:
         """Sort until stopped or faulted; to be called once for every start. Moves metal."""
@@ -175,6 +190,13 @@ class Operation(Observer):
                 may_hold_part=self._may_hold,
                 alarms=self.alarm_log.open(),
             )
+
+    @property
+    def line(self) -> str:
+        """State, count and latched fault in one line."""
+        with self._changed:
+            line = f"{packml(self._state, self._pending)}: {self._counts['placed']} placed"
+            return line if self._latched is None else f"{line}; {self._latched}"
 
     def alarms(self) -> tuple[Alarm, ...]:
         """Every alarm that is kept, oldest first."""
@@ -230,6 +252,8 @@ class Operation(Observer):
     def reset(self) -> None:
         """Clear a latched fault. Moves nothing.
 
+        After a fault of a device the devices are opened again first; the fault is back when they cannot be.
+
         Raises:
             Refused: No fault is latched, or the arm is still being brought to rest after it.
         """
@@ -238,10 +262,12 @@ class Operation(Observer):
                 raise Refused("the cell is not at rest yet", "wait, or stop it")
             if self._latched is None:
                 raise Refused("no fault is latched", "nothing needs to be reset")
+            self._recovery_due = self._recover is not None and isinstance(self._latched, DeviceError)
             self._latched = None
             self._may_hold = False
+            self._changed.notify_all()
         self.alarm_log.clear()
-        self._enter(State.STOPPED)
+        self._enter(None if self._recovery_due else State.STOPPED)
 
     def acknowledge(self, number: int | None) -> int:
         """Note that one alarm, or all, were seen; how many were new."""
@@ -250,6 +276,15 @@ class Operation(Observer):
     def reload(self) -> tuple[str, ...]:
         """Read the configuration again, for the next cycle; what has changed."""
         return self._reload()
+
+    def emptied(self, name: str | None) -> None:
+        """A bin, or (None) every bin, was emptied.
+
+        Raises:
+            InputError: There is no such bin.
+        """
+        self._emptied(name)
+        self.alarm_log.clear("bin_full")
 
     # --- observer -------------------------------------------------------------------------------------
 
@@ -308,10 +343,17 @@ class Operation(Observer):
             raise Refused(f"not possible in {packml(self._state, self._pending)}", "the cell must be at work")
         return self._work
 
-    def _enter(self, state: State) -> None:
+    def _open_again(self) -> None:
+        assert self._recover is not None
+        try:
+            self._recover()
+        except SorterError as error:
+            self.faulted(error, 0.0)
+            self._enter(State.FAULT)
+        else:
+            self._enter(State.STOPPED)
+
+    def _enter(self, state: State | None) -> None:
         with self._changed:
             self._state, self._since = state, self._now()
-            line = f"{packml(state, self._pending)}: {self._counts['placed']} placed"
-            if self._latched is not None:
-                line += f"; {self._latched}"
-        self._say(line)
+        self._say(self.line)

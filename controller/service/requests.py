@@ -16,7 +16,7 @@ _log = logging.getLogger(__name__)
 
 READING = ("status", "alarms")
 """Commands that change nothing."""
-CHANGING = ("start", "pause", "resume", "reset", "acknowledge", "reload")
+CHANGING = ("start", "pause", "resume", "reset", "acknowledge", "emptied", "reload")
 """Commands of which only one is worked on at a time."""
 _MOVING = ("start", "resume")
 
@@ -118,6 +118,11 @@ class Commands:
             if isinstance(number, bool) or not isinstance(number, int | None):
                 raise BadRequest("bad_request", "alarm is not the number of an alarm")
             calls["acknowledge"] = lambda: controls.acknowledge(number)
+        if command == "emptied":
+            name = given.pop("bin", None)
+            if not isinstance(name, str | None):
+                raise BadRequest("bad_request", "bin is not the name of a bin")
+            calls["emptied"] = lambda: controls.emptied(name)
         if not isinstance(command, str) or command not in calls:
             known = ", ".join(sorted([*READING, *CHANGING, "stop"]))
             raise BadRequest("unknown_command", f"no command {command!r:.60}", f"commands: {known}")

@@ -7,13 +7,11 @@ devices and calibration are, and whatever happens the devices are released and t
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import threading
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -31,24 +29,23 @@ from controller.cycle.rehearsal import AIR_SPEED, AirPlanner, Rehearsal
 from controller.cycle.rig import Observer, Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import ArmDescription, CellCalibration, PickPlan
-from controller.errors import CalibrationMissing, SafetyStop
+from controller.errors import CalibrationMissing, DeviceError, SorterError
 from controller.insight.report import annotated, page, side_by_side
 from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
 from controller.motion.planner import Planner
-from controller.service.chronicle import Chronicle, Housekeeper, tell_what_was_found
+from controller.service.chronicle import Chronicle
+from controller.service.controls import Refused
 from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.service.scenery import watch_scenery
 from controller.service.self_calibration import calibrate_cell
+from controller.service.standing_cell import Standing, StandingCell
 from controller.service.standing_service import Service
 from controller.service.taught_classes import taught_classes
 from controller.vision.recipe import load_recipe
-
-_UNCLEAN_RUNS = 3
-"""Runs cut off in a row (killed, or without power) after which somebody must look before the next start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +53,14 @@ class RunOptions:
     """What the command line asks of a run; see `controller run --help`.
 
     Attributes:
+        reread: Reads the configuration again, when a standing cell is told to.
         watch: Called when the devices are open and calibrated, before the work begins: the observers it returns
             are told of the run, and it may put its own watchers before the devices.
     """
 
     mode: Mode
     config: CellConfig
+    reread: Callable[[], CellConfig] | None = None
     out: Path | None = None
     replay: Path | None = None
     calibration: Path | None = None
@@ -90,6 +89,11 @@ class Session:
             self._config = options.config.model_copy(update={"cycle": cycle})
         self._stop = threading.Event()
         self._end: Callable[[], None] = lambda: None
+        self._reload: Callable[[], None] = lambda: None
+
+    def reload(self) -> None:
+        """Read the configuration of a standing cell again, soon; from any thread or a signal's handler."""
+        self._reload()
 
     def stop(self) -> None:
         """End the run soon: the arm slows down along its path, parks, and lets go of the torque."""
@@ -109,7 +113,7 @@ class Session:
         arm = load_arm(self._config.arm.description)
         recipe = load_recipe(self._config.vision.recipe)
         taught = taught_classes(self._config)
-        for warning in check(self._config, arm, self._planner(arm, self._by_ruler())):
+        for warning in check(self._config, arm, self._planner(arm, self._by_ruler(), self._config)):
             self.options.say(f"warning: {warning}")
         folder = state_folder()
         real, rehearsal = self.options.mode is Mode.REAL, self.options.rehearsal
@@ -122,8 +126,7 @@ class Session:
             service = Service.standing_by(self._config, stack) if real and sorting else None
             devices = DEVICES[self.options.mode](self._config, arm, self._backend_options(folder, service))
             stack.callback(devices.close)
-            if not real or sorting:
-                devices.open()
+            missing = self._open(devices, service) if not real or sorting else None
             calibration, calibration_s = self._calibrated(devices, folder)
             if not sorting:
                 devices = rehearsed(devices, arm, self._backend_options(folder, service), rehearsal)
@@ -138,7 +141,8 @@ class Session:
             faults = FaultRecord()
             watchers = self.options.watch(devices)
             record = ledger if devices.script is None else LedgerWithFailpoints(ledger, devices.script)
-            own = (statistics, faults, Chronicle(record, devices.clock), album)
+            chronicle = Chronicle(record, devices.clock)
+            own = (statistics, faults, chronicle, album)
             rig = Rig(
                 self._config,
                 devices.camera,
@@ -147,7 +151,7 @@ class Session:
                 record,
                 calibration,
                 recipe,
-                self._planner(self._as_identified(arm), calibration),
+                self._planner_for(self._config, calibration),
                 observers=(*devices.observers, *own, *self.options.observers, *watchers),
                 confirm=self.options.confirm,
                 classes=taught,
@@ -164,7 +168,14 @@ class Session:
             if taught is not None:
                 ledger.note("classes", devices.clock.now(), digest=taught.digest, names=list(taught.classifier.names))
             began, began_wall = devices.clock.now(), monotonic()
-            sorter = self._operate(rig, service, ledger) if service is not None else self._sort(rig)
+            if service is None:
+                sorter: Sorter | None = self._sort(rig)
+            else:
+                standing = Standing(
+                    service, devices, ledger, chronicle, self._reread, self._planner_for, self._by_ruler,
+                    self.options.say,
+                )  # fmt: skip
+                sorter = self._operate(rig, standing, missing)
             ledger.end_run(f"fault: {sorter.fault}" if sorter and sorter.fault else "stopped")
             report = self._head(arm)
             report |= statistics.summary(sorter.left if sorter else 0, sorter.cycle_times if sorter else [])
@@ -191,34 +202,13 @@ class Session:
         sorter.run()
         return sorter
 
-    def _operate(self, rig: Rig, service: Service, ledger: SqliteLedger) -> Sorter | None:
+    def _operate(self, rig: Rig, standing: Standing, missing: SorterError | None) -> Sorter | None:
         """Sort whenever an operator starts the cell, until it is to end; the last sorter, if there was one."""
-        operation = service.operation(self._config, rig.calibration.calibration_id)
-        self._end = operation.end
+        cell = StandingCell(rig, standing, missing)
+        self._end, self._reload = cell.operation.end, cell.reload_soon
         if self._stop.is_set():
-            operation.end()
-        keep = timedelta(days=self._config.ledger.keep_days)
-        housekeeper = Housekeeper(ledger, rig.clock, keep, self._config.ledger.most_mb << 20)
-        rig = replace(rig, observers=(*rig.observers, operation, housekeeper))
-        sorter: Sorter | None = None
-        filled: Counter[str] = Counter()
-        starts = itertools.count(1)
-        with service.open_to_operators(operation):
-            tell_what_was_found(ledger, operation.alarm_log)
-            operation.ready(fault=_safe_mode(ledger), may_hold_part=bool(ledger.indeterminate))
-            service.notifier.ready("STOPPED: controller start begins to sort")
-            if self.options.start:
-                operation.start()
-            else:
-                self.options.say("STOPPED: everything is ready and nothing moves; controller start begins to sort")
-            while operation.wait_for_start(service.cycle.progress):
-                prefix = f"start{next(starts)}-t"
-                sorter = Sorter(rig, most_parts=self.options.parts, filled=filled, target_prefix=prefix)
-                operation.sort(sorter)
-                if self.options.parts is not None or (self.options.start and sorter.fault is not None):
-                    break
-            service.notifier.stopping("parked")
-        return sorter
+            cell.operation.end()
+        return cell.run(start=self.options.start, most_parts=self.options.parts)
 
     # --- parts of a run -------------------------------------------------------------------------------
 
@@ -242,11 +232,30 @@ class Session:
             real_time=self.options.real_time,
         )
 
-    def _planner(self, arm: ArmDescription, calibration: CellCalibration) -> Planner:
-        speed = self._config.arm.speed_percent / 100.0
+    def _open(self, devices: Devices, service: Service | None) -> SorterError | None:
+        """Open the devices; under a service manager a missing one is an alarm of a service that is there."""
+        try:
+            devices.open()
+        except DeviceError as error:
+            if service is None or not service.notifier.listening:
+                raise
+            return error
+        return None
+
+    def _reread(self) -> CellConfig:
+        if self.options.reread is None:
+            raise Refused("nobody knows where the configuration came from", "start the program again")
+        return self.options.reread()
+
+    def _planner_for(self, config: CellConfig, calibration: CellCalibration) -> Planner:
+        """A planner for the arm as identified."""
+        return self._planner(self._as_identified(load_arm(config.arm.description)), calibration, config)
+
+    def _planner(self, arm: ArmDescription, calibration: CellCalibration, config: CellConfig) -> Planner:
+        speed = config.arm.speed_percent / 100.0
         if self.options.rehearsal is Rehearsal.AIR:
-            return AirPlanner(arm, calibration, self._config.bin_values(), speed=min(speed, AIR_SPEED))
-        return Planner(arm, calibration, self._config.bin_values(), speed=speed)
+            return AirPlanner(arm, calibration, config.bin_values(), speed=min(speed, AIR_SPEED))
+        return Planner(arm, calibration, config.bin_values(), speed=speed)
 
     def _as_identified(self, arm: ArmDescription) -> ArmDescription:
         """The arm with the figures that belong to the calibration, where it was identified."""
@@ -296,12 +305,3 @@ class Session:
             cv2.imwrite(str(folder / f"{name}.png"), picture)
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
-
-
-def _safe_mode(ledger: SqliteLedger) -> SafetyStop | None:
-    """Why the cell must be looked at before it may start, after it was cut off too often; or None."""
-    if ledger.unclean_runs < _UNCLEAN_RUNS:
-        return None
-    return SafetyStop(
-        f"the last {ledger.unclean_runs} runs were cut off", "find out why, then controller reset and start"
-    )

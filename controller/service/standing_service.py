@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from controller.config.cell import CellConfig
 from controller.ports import Clock
 from controller.service.client import runtime_folder
 from controller.service.control import ControlServer, operators
-from controller.service.controls import Refused
 from controller.service.notify import Notifier
 from controller.service.operation import CellFacts, Operation
 from controller.service.supervisor import Loop, Supervisor, WatchedClock
@@ -47,16 +47,22 @@ class Service:
         """The cell's clock, every use of which is a sign of life."""
         return WatchedClock(clock, self.cycle)
 
-    def operation(self, config: CellConfig, calibration_id: str) -> Operation:
-        """What operators control."""
+    def operation(
+        self,
+        config: CellConfig,
+        calibration_id: str,
+        *,
+        reload: Callable[[], tuple[str, ...]],
+        emptied: Callable[[str | None], None],
+        recover: Callable[[], None],
+    ) -> Operation:
+        """What operators control; see `Operation`."""
         facts = CellFacts("real", config.name, config.digest, calibration_id)
-        return Operation(facts, _no_reload, say=self.notifier.status)
+        return Operation(facts, reload, emptied=emptied, recover=recover, say=self.notifier.status)
 
-    def open_to_operators(self, operation: Operation) -> ControlServer:
-        """The control socket, as a context manager."""
+    def open_to_operators(self, operation: Operation, commanded: Callable[[str, int], None]) -> ControlServer:
+        """The control socket, as a context manager; see `ControlServer` for `commanded`."""
         loop = self.supervisor.register("control", patience=2.0)
-        return ControlServer(runtime_folder(), operation, group=operators(), progress=loop.progress)
-
-
-def _no_reload() -> tuple[str, ...]:
-    raise Refused("a running cell does not read its configuration again", "stop it and run it again")
+        return ControlServer(
+            runtime_folder(), operation, group=operators(), progress=loop.progress, commanded=commanded
+        )

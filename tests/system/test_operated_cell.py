@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,25 +13,48 @@ import pytest
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
-from controller.domain import ArmDescription
-from controller.errors import InstanceBusy, MotionTimeout, SorterError
+from controller.cycle.rig import Observer
+from controller.domain import ArmDescription, PickPlan
+from controller.errors import BusError, InstanceBusy, MotionTimeout, SorterError
+from controller.ledger.sqlite import SqliteLedger
 from controller.ledger.view import LedgerView
 from controller.service import session as session_module
 from controller.service.client import ControlClient, NotRunning
 from controller.service.lock import InstanceLock
 from controller.service.session import RunOptions, Session
+from drivers.arm.dynamixel import DynamixelArm
+from sim_backends.virtual_clock import VirtualClock
 from tests.benchmarks.cell_vision import look_at_cell
 
 PARTS = 2
 
 
+class Meanwhile(Observer):
+    """Lets something happen when the first part is about to be picked."""
+
+    def __init__(self) -> None:
+        self.at_first_attempt: Callable[[], object] = lambda: None
+
+    def attempted(self, plan: PickPlan, attempt: int) -> None:
+        act, self.at_first_attempt = self.at_first_attempt, lambda: None
+        act()
+
+
 class RunningCell:
     """A session in a thread of its own, and an operator at its socket."""
 
-    def __init__(self, state: Path, calibration: Path) -> None:
+    def __init__(self, state: Path, calibration: Path, config: Path) -> None:
         self.error: SorterError | None = None
         self.figures: dict[str, object] = {}
-        options = RunOptions(Mode.REAL, load_cell(shipped("sim.toml")), calibration=calibration)
+        self.config = config
+        self.meanwhile = Meanwhile()
+        options = RunOptions(
+            Mode.REAL,
+            load_cell(config),
+            reread=lambda: load_cell(self.config),
+            calibration=calibration,
+            observers=(self.meanwhile,),
+        )
         self.session = Session(options)
         self.operator = ControlClient(state)
         self._ready = threading.Event()
@@ -38,7 +62,7 @@ class RunningCell:
 
     def __enter__(self) -> RunningCell:
         self._thread.start()
-        self.wait_for("state", "STOPPED")
+        self.wait_for("state", "STOPPED", "ABORTED")
         return self
 
     def __exit__(self, *unused: object) -> None:
@@ -46,12 +70,12 @@ class RunningCell:
         self._thread.join(60.0)
         assert not self._thread.is_alive()
 
-    def wait_for(self, key: str, wanted: object) -> None:
-        """Ask until the status says so."""
+    def wait_for(self, key: str, *wanted: object) -> None:
+        """Ask until the status says one of these."""
         tick = threading.Event()
         for _ in range(1200):
             with contextlib.suppress(NotRunning):
-                if self.operator.ask("status")[key] == wanted:
+                if self.operator.ask("status")[key] in wanted:
                     return
             assert self._thread.is_alive(), self.error
             tick.wait(0.05)
@@ -88,11 +112,24 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The calibration of the simulated cell."""
+    folder = tmp_path_factory.mktemp("cell")
+    look_at_cell(7, PARTS, "static", folder)
+    return folder / "calibration"
+
+
 @pytest.fixture
-def cell(tmp_path: Path, state: Path, devices: list[Devices]) -> Iterator[RunningCell]:
+def config(tmp_path: Path) -> Path:
+    """The cell's configuration, to be changed."""
+    return Path(shutil.copy(shipped("sim.toml"), tmp_path / "cell.toml"))
+
+
+@pytest.fixture
+def cell(config: Path, state: Path, calibration: Path, devices: list[Devices]) -> Iterator[RunningCell]:
     """A cell that is ready, STOPPED."""
-    look_at_cell(7, PARTS, "static", tmp_path)
-    with RunningCell(state, tmp_path / "calibration") as running:
+    with RunningCell(state, calibration, config) as running:
         yield running
 
 
@@ -145,3 +182,148 @@ def test_a_fault_latches_until_it_is_reset(
     cell.wait_for("state", "STOPPED")
     cell.operator.ask("start")
     cell.wait_for("counts", {"indeterminate": 1, "placed": PARTS})
+
+
+def test_after_the_adapter_was_unplugged_a_reset_opens_the_arm_again(
+    cell: RunningCell, devices: list[Devices], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = devices[0].arm
+    assert isinstance(driver, DynamixelArm)
+    plugged_in = driver.bus.open
+
+    def unplugged() -> None:
+        raise BusError("adapter", "open", "lost", "there is no such port")
+
+    follow = driver.follow
+
+    def cut(trajectory, *more):  # type: ignore[no-untyped-def]
+        if trajectory.name == "carry":
+            monkeypatch.setattr(driver, "follow", follow)
+            monkeypatch.setattr(driver.bus, "open", unplugged)
+            driver.bus.close()
+        return follow(trajectory, *more)
+
+    monkeypatch.setattr(driver, "follow", cut)
+    cell.operator.ask("start")
+    cell.wait_for("state", "ABORTED")
+    assert [alarm["code"] for alarm in cell.operator.ask("status")["alarms"]] == ["bus_lost"]
+    # As long as it is not there again, a reset ends in the same fault.
+    assert cell.operator.ask("reset")["state"] in ("RESETTING", "ABORTED")
+    cell.wait_for("state", "ABORTED")
+    monkeypatch.setattr(driver.bus, "open", plugged_in)
+    before = devices[0].truth.tool() if devices[0].truth is not None else None
+    cell.operator.ask("reset")
+    cell.wait_for("state", "STOPPED")
+    assert devices[0].truth is not None
+    # Nothing has moved but what gravity does to an arm whose goals stand as they were.
+    assert devices[0].truth.tool() == pytest.approx(before, abs=2.0)
+    cell.operator.ask("start")
+    cell.wait_for("state", "SUSPENDED")
+    counts = cell.operator.ask("status")["counts"]
+    assert counts.get("indeterminate") == 1
+    assert counts["placed"] in (PARTS - 1, PARTS)  # the part that was in the jaws may have been let go where it is seen
+
+
+def test_a_running_cell_takes_a_new_configuration_over_between_two_parts(cell: RunningCell, state: Path) -> None:
+    text = cell.config.read_text(encoding="utf-8")
+    before = cell.operator.ask("status")["config_digest"]
+    for wrong, says in (
+        (text.replace('bin = "squares"', 'bin = "squarse"'), "did you mean squares"),
+        (text.replace("width = 1280", "width = 640"), "camera.width cannot change while the cell runs"),
+        (text.replace("[-190.0, 226.0]", "[-190.0, 926.0]"), "cannot be reached"),
+        ("[", "not TOML"),
+    ):
+        cell.config.write_text(wrong, encoding="utf-8")
+        with pytest.raises(SorterError, match=says):
+            cell.operator.ask("reload")
+        assert cell.operator.ask("status")["config_digest"] == before
+    # Changed while it is at work on a part: that one still goes where it was meant to, the next to the other bin.
+    new = text
+    for bin_ in ("squares", "rectangles", "circles", "hexagons", "triangles"):
+        new = new.replace(f'bin = "{bin_}"', 'bin = "rejects"')
+    cell.config.write_text(new, encoding="utf-8")
+    changes: list[str] = []
+    cell.meanwhile.at_first_attempt = lambda: changes.extend(cell.operator.ask("reload"))
+    cell.operator.ask("start")
+    cell.wait_for("counts", {"placed": 1, "rejected": PARTS - 1})
+    assert "sorting.rules[0].bin: squares -> rejects" in changes
+    after = cell.operator.ask("status")["config_digest"]
+    assert after != before
+    # A hangup does the same, by itself.
+    cell.config.write_text(text, encoding="utf-8")
+    cell.session.reload()
+    cell.wait_for("config_digest", before)
+    cell.operator.ask("stop")
+    cell.wait_for("state", "STOPPED")
+    with LedgerView(state / "ledger.db") as ledger:
+        noted = [event["details"] for event in ledger.rows("events") if event["kind"] == "configuration"]
+    assert [note["config_hash"] for note in noted if isinstance(note, dict)] == [after, before]
+
+
+def test_a_full_bin_suspends_its_parts_until_it_is_emptied_also_over_a_restart(
+    config: Path, state: Path, calibration: Path, devices: list[Devices]
+) -> None:
+    config.write_text(config.read_text(encoding="utf-8").replace("capacity = 6", "capacity = 1"), encoding="utf-8")
+    with RunningCell(state, calibration, config) as cell:
+        cell.operator.ask("start")
+        cell.wait_for("state", "SUSPENDED")
+        assert cell.operator.ask("status")["counts"] == {"placed": PARTS}
+        with pytest.raises(SorterError, match="there is no bin 'sqares'"):
+            cell.operator.ask("emptied", bin="sqares")
+    # Another program finds the bins as they were left: the same parts lie there again, and wait.
+    with RunningCell(state, calibration, config) as cell:
+        cell.operator.ask("start")
+        cell.wait_for("state", "SUSPENDED")
+        status = cell.operator.ask("status")
+        assert (status["counts"], [alarm["code"] for alarm in status["alarms"]]) == ({}, ["bin_full"])
+        cell.operator.ask("emptied")
+        cell.wait_for("counts", {"placed": PARTS})
+    with LedgerView(state / "ledger.db") as ledger:
+        told = [event["details"] for event in ledger.rows("events") if event["kind"] == "operator"]
+    commands = [one["command"] for one in told if isinstance(one, dict)]
+    assert commands == ["start", "start", "emptied"]
+
+
+def test_three_runs_cut_off_in_a_row_end_in_safe_mode(
+    config: Path, state: Path, calibration: Path, devices: list[Devices]
+) -> None:
+    for _ in range(3):
+        with SqliteLedger(state / "ledger.db", clock=VirtualClock()) as ledger:
+            ledger.begin_run(software_version="0", config_hash="0")
+            ledger._run_id = None  # killed: nobody ends it
+    with RunningCell(state, calibration, config) as cell:
+        status = cell.operator.ask("status")
+        assert (status["state"], status["alarms"][0]["code"]) == ("ABORTED", "unclean_starts")
+        with pytest.raises(SorterError, match="the last 3 runs were cut off"):
+            cell.operator.ask("start")
+        assert cell.operator.ask("acknowledge") == 1
+        assert cell.operator.ask("status")["state"] == "ABORTED"  # to acknowledge is not to reset
+        assert cell.operator.ask("reset")["state"] == "STOPPED"
+    with RunningCell(state, calibration, config) as cell:
+        assert cell.operator.ask("status")["state"] == "STOPPED"
+
+
+def test_under_a_service_manager_a_missing_arm_is_an_alarm(
+    config: Path,
+    state: Path,
+    calibration: Path,
+    devices: list[Devices],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    missing = BusError("/dev/sorter-arm", "open", "lost", "there is no such port", "plug the adapter in")
+    opened = DynamixelArm.open
+
+    def absent(arm: DynamixelArm) -> None:
+        raise missing
+
+    monkeypatch.setattr(DynamixelArm, "open", absent)
+    with RunningCell(state, calibration, config) as cell:
+        status = cell.operator.ask("status")
+        assert (status["state"], status["alarms"][0]["code"]) == ("ABORTED", "bus_lost")
+        monkeypatch.setattr(DynamixelArm, "open", opened)
+        cell.operator.ask("reset")
+        cell.wait_for("state", "STOPPED")
+        cell.operator.ask("start")
+        cell.wait_for("counts", {"placed": PARTS})

@@ -77,5 +77,8 @@ class PretendedCell:
     def acknowledge(self, number: int | None) -> int:
         return self.log.acknowledge(number)
 
+    def emptied(self, name: str | None) -> None:
+        self.told.append(f"emptied {name}")
+
     def reload(self) -> tuple[str, ...]:
         raise ZeroDivisionError
