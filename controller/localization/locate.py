@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from controller.domain import CellCalibration, Detection, LocatedObject, Shape
 from controller.geometry import wrap
-from controller.localization.feet import corrected, support
 from controller.localization.prism import Noise, PrismFit, Silhouette, bounding_size, footprint
+from controller.localization.second_look import second_look
 
 Array = NDArray[np.float64]
 
@@ -25,14 +25,6 @@ MIN_POINTS = 20
 #: Starts that are tried, as a share of the shape's period away from the detection's own direction: the fit
 #: of a tall part may end in a local optimum.
 _TURNS = (0.0, 1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2)
-
-
-#: Shapes that the other sides determine when one is left out.
-_KNOWN_WITHOUT_A_SIDE = (Shape.SQUARE, Shape.HEXAGON)
-#: How far outside such a side may lie, px: the width of a side face and its shadow.
-_LARGEST_STRAY = 8.0
-#: What a side left out adds to the deviation of the centre, as a share of how far it lies outside.
-_LEFT_OUT_DOUBT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,18 +111,14 @@ def _locate_one(
     if len(detection.outline_px) < MIN_POINTS:
         return f"only {len(detection.outline_px)} outline points"
     fit = _fit(detection, detection.outline_px, calibration, rough, noise, limits)
-    if detection.shape is not Shape.CIRCLE:
-        outline = corrected(detection.frame.image, detection.outline_px, *_foot_and_top(detection, calibration, fit))
-        if outline is not None:
-            fit = _fit(detection, outline, calibration, rough, noise, limits)
-    if detection.shape in _KNOWN_WITHOUT_A_SIDE and _objection(fit, limits):
-        fit = _without_a_side(detection, calibration, fit, rough.height, noise, limits) or fit
+    fit = second_look(detection, calibration, fit, height, noise, lambda found: _objection(found, limits))
     reason = _objection(fit, limits)
     if reason:
         return reason
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
     size = bounding_size(detection.shape, fit.dimensions)
-    doubt = _LEFT_OUT_DOUBT * fit.stray * size[0] / max(detection.size_px)
+    # A height that the outline disputes moves the part along the line of sight.
+    doubt = _slant(calibration, fit.center) * abs(fit.height - height)
     return LocatedObject(
         detection=detection,
         center=fit.center,
@@ -222,37 +210,15 @@ def _fit(
     return best
 
 
-def _without_a_side(
-    detection: Detection, calibration: CellCalibration, fit: PrismFit, height: float, noise: Noise, limits: Limits
-) -> PrismFit | None:
-    """The prism that all sides but one agree on, when that one lies a little outside of it.
-
-    A dark side face and the shadow at its foot look alike: vision may take one for the other.
-    """
-    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
-    found: PrismFit | None = None
-    best = -math.inf
-    for edge in np.unique(fit.edges[fit.used]):
-        kept = fit.edges != edge
-        start = (*fit.center, fit.yaw or 0.0)
-        other = silhouette.fit(detection.shape, start, fit.dimensions, height, noise, kept)
-        fair = 0.0 < other.stray <= _LARGEST_STRAY and _objection(other, limits) is None
-        # Left out on either side a stray one leaves a fit; the picture tells which of them is there.
-        if fair and (borne := support(detection.frame.image, *_foot_and_top(detection, calibration, other))) > best:
-            found, best = other, borne
-    return found
-
-
-def _foot_and_top(detection: Detection, calibration: CellCalibration, fit: PrismFit) -> tuple[Array, Array]:
-    """Pixels (K, 2) of a fitted prism's corners on the table, and of those above them."""
-    feet = footprint(detection.shape, fit.center, fit.yaw, fit.dimensions)
-    return calibration.plane(0.0).to_pixels(feet), calibration.plane(fit.height).to_pixels(feet)
+def _slant(calibration: CellCalibration, center: tuple[float, float]) -> float:
+    """How far apart, mm, two points seen as one lie on the table for every mm that they differ in height."""
+    lens = calibration.T_table_camera[:3, 3]
+    return math.dist(center, (float(lens[0]), float(lens[1]))) / float(lens[2])
 
 
 def _objection(fit: PrismFit, limits: Limits) -> str | None:
     """Why a fit is not good enough, or None."""
-    distances = np.abs(fit.residuals[fit.kept])
-    edges, used = fit.edges[fit.kept], fit.used[fit.kept]
+    distances, edges, used = np.abs(fit.residuals), fit.edges, fit.used
     share = float((distances <= limits.inlier).mean())
     if share < limits.share:
         return f"its outline is not this shape: {share:.0%} of it within {limits.inlier:g} px of the fit"

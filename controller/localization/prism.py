@@ -59,7 +59,6 @@ class PrismFit:
         residuals: ndarray of shape (N,), px, outwards positive, of all outline points.
         edges: ndarray of shape (N,): the silhouette edge each point belongs to.
         used: ndarray of shape (N,), bool: points away from corners, which the fit rests on.
-        kept: ndarray of shape (N,), bool: points that were not left out beforehand.
     """
 
     center: tuple[float, float]
@@ -70,17 +69,11 @@ class PrismFit:
     residuals: Array
     edges: NDArray[np.int64]
     used: NDArray[np.bool_]
-    kept: NDArray[np.bool_]
 
     @property
     def cost(self) -> float:
         """Mean of min(|r|, 2 px) over all points: bounded, so that starts can be compared."""
         return float(np.minimum(np.abs(self.residuals), 2.0).mean())
-
-    @property
-    def stray(self) -> float:
-        """Median distance of the points left out, px, outwards positive; 0 when there are none."""
-        return 0.0 if self.kept.all() else float(np.median(self.residuals[~self.kept]))
 
 
 def unit_footprint(shape: Shape) -> Array:
@@ -145,13 +138,8 @@ class Silhouette:
         dimensions: tuple[float, ...],
         height: float,
         noise: Noise,
-        kept: NDArray[np.bool_] | None = None,
     ) -> PrismFit:
-        """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior.
-
-        Points outside `kept` take no part.
-        """
-        mask = np.ones(len(self.points), bool) if kept is None else kept
+        """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior."""
         model = _Model(shape, self._R, self._t, self._local, self._origin)
         parameters = np.array([*start, *dimensions, height])
         free = np.ones(len(parameters), bool)
@@ -159,7 +147,7 @@ class Silhouette:
         last = np.inf
         for _ in range(_ROUNDS):
             residuals, jacobian, edges, used = model.compare(self.points, parameters)
-            weights = _weights(residuals, edges, used & mask, noise, shape)
+            weights = _weights(residuals, edges, used, noise, shape)
             rows = jacobian[:, free] * weights[:, None]
             normal = rows.T @ rows
             right = rows.T @ (weights * residuals)
@@ -176,7 +164,7 @@ class Silhouette:
                 break
             last = float(np.abs(step).max())
         residuals, jacobian, edges, used = model.compare(self.points, parameters)
-        weights = _weights(residuals, edges, used & mask, noise, shape)
+        weights = _weights(residuals, edges, used, noise, shape)
         rows = jacobian[:, free] * weights[:, None]
         normal = rows.T @ rows
         normal[-1, -1] += 1.0 / noise.height**2
@@ -194,8 +182,7 @@ class Silhouette:
             covariance,
             residuals,
             edges,
-            used & mask,
-            mask,
+            used,
         )
 
 

@@ -1,0 +1,111 @@
+"""An outline measured again where a prism of the stated height would have it.
+
+Vision knows one typical height for all parts. Where a part is much lower or taller, or a shadow lies along its foot,
+the outline it hands over runs between edges; the picture itself tells, once it is known where to look.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Pieces of the outline that are measured one by one, px: short against any side, long enough to average noise.
+_PIECE = 8.0
+_STEP = 0.5
+#: An edge is this clear by itself, levels of 255 a pixel, ...
+_LEAST = 3.0
+#: ... and against the clearest one in reach.
+_SHARE = 0.35
+#: Edges further off than this, px, are not those of the prism.
+_FAR = 3.0
+#: Of a side narrower than this, px, only the foot's edge is told apart.
+_NARROWEST = 4.0
+#: A polygon with more corners than this stands for a circle.
+_MANY = 24
+#: Points handed on a piece.
+_POINTS = np.array([-1.0, 0.0, 1.0]) / 3.0
+
+
+def remeasured(image: NDArray[np.uint8], foot: Array, top: Array, reach: float) -> Array:
+    """Outline (N, 2), px, on the edges nearest to a prism's silhouette; where there is none a piece is left out.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8.
+        foot: ndarray of shape (K, 2), px: where the prism has its foot's corners.
+        top: ndarray of shape (K, 2), px: and those of its top face.
+        reach: How far to either side is looked, px.
+    """
+    hull = np.asarray(cv2.convexHull(np.vstack([foot, top]).astype(np.float32))[:, 0], np.float64)
+    middle, along, normal = _pieces(hull, np.roll(hull, -1, axis=0))
+    at, found = _beside(image, middle, along, normal, reach)
+    pieces = middle[:, None] + _POINTS[:, None] * along[:, None] + at[:, None, None] * normal[:, None]
+    return np.asarray(pieces[found].reshape(-1, 2))
+
+
+def misfit(image: NDArray[np.uint8], foot: Array, top: Array) -> float:
+    """How far the edges in the picture lie beside those of a prism that a camera sees, px in the mean.
+
+    The border between top face and a side counts too: without it a prism as large as the whole silhouette would do.
+    What has no edge near it counts as `_FAR`.
+    """
+    side = np.roll(foot, -1, axis=0) - foot
+    normal = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
+    normal *= np.sign(np.einsum("ij,ij->i", normal, foot + side / 2 - top.mean(axis=0)))[:, None]
+    strip = np.einsum("ij,ij->i", normal, foot - top)
+    border, ground = (strip <= 0.0) | (strip > _NARROWEST), strip > 0.0
+    starts = np.vstack([top[border], foot[ground]])
+    ends = np.vstack([np.roll(top, -1, axis=0)[border], np.roll(foot, -1, axis=0)[ground]])
+    at, found = _beside(image, *_pieces(starts, ends), _FAR)
+    return float(np.where(found, np.abs(at), _FAR).mean())
+
+
+def _beside(
+    image: NDArray[np.uint8], middle: Array, along: Array, normal: Array, reach: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """How far (M,) beside each piece the nearest clear edge lies, px, and whether there is one."""
+    across = np.arange(-reach - 1.0, reach + 1.0 + _STEP, _STEP)
+    shares = np.linspace(-0.5, 0.5, 9)[:, None, None]
+    places = middle[:, None, None] + shares * along[:, None, None] + across[:, None] * normal[:, None, None]
+    seen = cv2.remap(
+        image,
+        places.reshape(len(middle), -1, 2).astype(np.float32),
+        np.empty(0),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    profile = np.asarray(seen, np.float64).reshape(len(middle), len(shares), len(across), 3).mean(axis=1)
+    slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2 * _STEP)
+    return _nearest(slope, across[1:-1], reach)
+
+
+def _pieces(starts: Array, ends: Array) -> tuple[Array, Array, Array]:
+    """Middles, vectors along and unit normals (M, 2) of the pieces of lines (K, 2) to (K, 2)."""
+    side = ends - starts
+    length = np.linalg.norm(side, axis=1)
+    if len(side) > _MANY:  # a circle's many short sides: every so manieth is enough
+        step = max(1, int(_PIECE / max(float(np.median(length)), 1e-9)))
+        starts, side, length = starts[::step], side[::step] * step, length[::step] * step
+    counts = np.maximum((length // _PIECE).astype(int), (length > _PIECE / 2).astype(int))
+    which = np.repeat(np.arange(len(side)), counts)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    along = side[which] / counts[which][:, None]
+    middle = starts[which] + (np.arange(len(which)) - first + 0.5)[:, None] * along
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    return middle, along, normal
+
+
+def _nearest(slope: Array, across: Array, reach: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Of each row of slopes (M, S): the clear peak nearest to the middle (M,), px, and whether there is one."""
+    inner = slope[:, 1:-1]
+    peak = (inner >= slope[:, :-2]) & (inner > slope[:, 2:]) & (np.abs(across[1:-1]) <= reach)
+    peak &= inner > np.maximum(_LEAST, _SHARE * inner.max(axis=1, keepdims=True))
+    distance = np.where(peak, np.abs(across[1:-1]), np.inf)
+    best = distance.argmin(axis=1)
+    rows = np.arange(len(slope))
+    a, b, c = slope[rows, best], slope[rows, best + 1], slope[rows, best + 2]
+    bend = a - 2.0 * b + c
+    shift = np.where(bend < 0.0, 0.5 * (a - c) / np.where(bend < 0.0, bend, -1.0), 0.0)
+    return across[best + 1] + np.clip(shift, -0.5, 0.5) * _STEP, np.isfinite(distance.min(axis=1))
