@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from controller.errors import ArmError, BusError, ServoFault
 from controller.ports import Clock
-from drivers.arm.bus import Bus, Identity
+from drivers.arm.bus import Bus
 from drivers.arm.control_table import (
     HOMING_LIMIT,
     NO_SECONDARY_ID,
@@ -22,6 +22,7 @@ from drivers.arm.control_table import (
     WATCHDOG_TRIPPED,
     model_name,
 )
+from drivers.arm.replies import Identity
 from drivers.arm.servos import Servo, check_hardware
 
 _WRITE_ATTEMPTS = 3

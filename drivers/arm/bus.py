@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from controller.errors import BusError
 from controller.ports import ByteStream, Clock
 from drivers.arm import protocol
 from drivers.arm.control_table import REGISTERS, Register
 from drivers.arm.protocol import Status, StatusParser
+from drivers.arm.replies import BusStatistics, Identity, Reply
 
 LATE_REPLY = 0.060
 """How long after a miss its reply may still arrive, s: the longest delays seen on USB adapters are 50 ms."""
@@ -34,61 +34,11 @@ READ_RETRIES = 2
 
 _BITS_PER_BYTE = 10  # start, eight, stop
 _RETURN_DELAY = 254 * 2e-6  # largest Return_Delay_Time, s: a servo fresh from its box waits 250 units
-_LATENCY = 0.007  # adapter and scheduler; a silent servo costs this and its wire time
+_LATENCY = 0.0065  # adapter and scheduler; a silent servo costs this and its wire time
+_LATENCY_AGAIN = 0.0025  # of a servo silent a moment ago: what comes later is told by its length
 _PADS = 8  # lengths by which the answers to one sync read are told from those to the one before
-_FAST_FAILURES = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """What one servo answered.
-
-    Attributes:
-        error: The error byte; bit 7 (`alert`) leaves the data good.
-        data: Exactly the bytes asked for, or nothing when the low seven bits of `error` are not zero.
-    """
-
-    error: int
-    data: bytes
-
-    @property
-    def alert(self) -> bool:
-        """Hardware_Error_Status is not zero."""
-        return bool(self.error & protocol.ALERT)
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """What a servo says to a ping."""
-
-    model_number: int
-    firmware: int
-    alert: bool
-
-
-@dataclass(slots=True)
-class BusStatistics:
-    """Counts since the bus was made.
-
-    Attributes:
-        transactions: Instructions sent.
-        replies: Replies accepted.
-        timeouts: Servos that did not answer in time.
-        corrupt: Packets whose checksum was wrong.
-        strays: Good packets nobody had asked for: wrong ID, wrong length, late.
-        skipped_bytes: Bytes that belonged to no packet.
-        retries: Reads repeated.
-        fast_fallbacks: Times the fast sync read was given up.
-    """
-
-    transactions: int = 0
-    replies: int = 0
-    timeouts: int = 0
-    corrupt: int = 0
-    strays: int = 0
-    skipped_bytes: int = 0
-    retries: int = 0
-    fast_fallbacks: int = 0
+_FAST_FAILURES = 3  # in a row, after which one plain sync read shows whose fault it is
+_TRIAL_EVERY = 100  # failures until it is asked again
 
 
 class Bus:
@@ -216,19 +166,24 @@ class Bus:
             replies: dict[int, Reply | None] = dict.fromkeys(servo_ids)
             # Those silent a moment ago are asked last, where they cannot hold the others up.
             waiting = sorted(servo_ids, key=self._late.__contains__)
-            fast = self.fast
+            fast = self.fast and self._fast_failures < _FAST_FAILURES
+            passes = 0
             while waiting:
                 for status in self._sync_pass(waiting, address, size + self._pad, fast):
                     replies[status.servo_id] = Reply(status.error, status.data[:size])
                 missing = [servo_id for servo_id in waiting if replies[servo_id] is None]
-                if fast:
-                    self._judge_fast(complete=not missing)
-                    fast = False
+                if self.fast and passes == 0:
+                    self._judge_fast(fast, complete=not missing)
                 if not missing:
                     break
-                self._missed(missing[0])
-                waiting = missing[1:]
+                if fast and passes > 0:
+                    # A second gap may be the fast read's own fault: ask plainly before giving anybody up.
+                    fast, waiting = False, missing
+                else:
+                    self._missed(missing[0])
+                    waiting = missing[1:]
                 self.statistics.retries += bool(waiting)
+                passes += 1
             return replies
 
     def sync_read_register(self, servo_ids: Sequence[int], name: str) -> dict[int, int | None]:
@@ -298,10 +253,13 @@ class Bus:
         longest = 4 + size + (size + 2) // 3 + _PADS  # with every possible stuffed byte
         parser = StatusParser(longest)
         conflicts = 0
-        window = _RETURN_DELAY + (protocol.STATUS_OVERHEAD + size) * self._byte_time + self._latency
+        window = _RETURN_DELAY + (protocol.STATUS_OVERHEAD + size) * self._byte_time
+        patience, impatience = window + self._latency, window + min(self._latency, _LATENCY_AGAIN)
         pending = set(servo_ids)
+        lately_silent = self._late.keys()
         found: dict[int, Status] = {}
-        deadline = max(self._clock.now(), self._line_free) + window
+        deadline = max(self._clock.now(), self._line_free)
+        deadline += impatience if pending <= lately_silent else patience
         while pending:
             chunk = self._stream.read(
                 len(pending) * (protocol.STATUS_OVERHEAD + size), max(0.0, deadline - self._clock.now())
@@ -311,7 +269,7 @@ class Bus:
                 if status.servo_id in pending and fits:
                     pending.discard(status.servo_id)
                     found[status.servo_id] = status
-                    deadline = self._clock.now() + window
+                    deadline = self._clock.now() + (impatience if pending <= lately_silent else patience)
                     continue
                 self.statistics.strays += 1
                 if fits and found.pop(status.servo_id, None) is not None:
@@ -326,9 +284,9 @@ class Bus:
 
     def _collect_fast(self, servo_ids: list[int], size: int) -> list[Status]:
         total = 7 + protocol.fast_length(len(servo_ids), size)
-        deadline = (
-            max(self._clock.now(), self._line_free) + _RETURN_DELAY + total * self._byte_time + self._latency
-        )
+        # The servos talk without a pause: when no block comes in its time, none will.
+        block_time = (size + 4) * self._byte_time
+        deadline = max(self._clock.now(), self._line_free) + _RETURN_DELAY + block_time + self._latency
         buffer = b""
         start = -1
         while start < 0 or len(buffer) - start < total:
@@ -337,6 +295,10 @@ class Bus:
                 break
             buffer += chunk
             start = protocol.find_fast(buffer, len(servo_ids), size)
+            heard = max(0, len(buffer) - start - 8) // (size + 4) if start >= 0 else 0
+            known = self._late.keys() >= set(servo_ids[heard:])
+            deadline = self._clock.now() + block_time
+            deadline += min(self._latency, _LATENCY_AGAIN) if known else self._latency
         blocks = protocol.fast_blocks(buffer[start : start + total], size) if start >= 0 else []
         found = []
         for wanted, block in zip(servo_ids, blocks, strict=False):
@@ -355,13 +317,17 @@ class Bus:
         self.statistics.timeouts += missing
         self._line_free = self._clock.now()
 
-    def _judge_fast(self, complete: bool) -> None:
-        """Give the fast read up when it keeps failing: some firmware knows it and still loses replies."""
-        self._fast_failures = 0 if complete else self._fast_failures + 1
-        if self._fast_failures >= _FAST_FAILURES:
+    def _judge_fast(self, used: bool, complete: bool) -> None:
+        """Give the fast read up when it keeps failing where a plain one succeeds: some firmware loses its replies."""
+        if used:
+            self._fast_failures = 0 if complete else self._fast_failures + 1
+        elif complete:
             self.fast = False
             self._fast_failures = 0
             self.statistics.fast_fallbacks += 1
+        else:
+            # The servo is silent either way.
+            self._fast_failures = -_TRIAL_EVERY
 
     def _missed(self, *servo_ids: int) -> None:
         until = self._clock.now() + LATE_REPLY

@@ -18,10 +18,11 @@ from controller.errors import ArmError, LimitViolation
 from controller.ports import ByteStream, Clock
 from drivers.arm import bring_up
 from drivers.arm.body import Body
-from drivers.arm.bus import Bus, Identity
+from drivers.arm.bus import Bus
 from drivers.arm.conversions import angle_from_opening, angle_from_ticks, ticks_from_angle
 from drivers.arm.following import Follower, check_start, check_trajectory
 from drivers.arm.gripping import move_jaws, send_jaws
+from drivers.arm.replies import Identity
 from drivers.arm.servos import TELEMETRY, read_telemetry_surely
 
 

@@ -42,6 +42,7 @@ _WINDOW = 0.020
 _STOPPED = 0.3  # of the fastest travel so far
 _MOVED = 0.006  # rad in one window: four ticks, more than an encoder's noise
 _NEVER_MOVED = 0.150  # s: a gripper that moves at all starts within 50 ms
+_STANDING_LOOKS = 4  # where answers are lost, two looks 60 ms apart may be the two sides of a swing
 _STANDS = 0.15  # rad/s: 4 mm/s of opening at most
 
 
@@ -106,11 +107,13 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
     clock, bus, servo, gripper = body.clock, body.bus, body.gripper, body.description.gripper
     start = angle_from_opening(gripper, body.state("grip").opening)
     goal = send_jaws(body, opening, start, effort)
+    opens = opening > opening_from_angle(gripper, start)
     began = tick = clock.now()
     detector = StopDetector(began, start)
     misses = MissCounter(body)
     deadline = began + TIMEOUT + abs(goal - start) / SLOWEST
     stopped_at: float | None = None
+    standing = 0
     while True:
         tick = body.next_tick(tick, _PERIOD)
         found = body.read("grip")
@@ -126,11 +129,15 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
             reached = opening_from_angle(gripper, jaw.position)
             return GripReport(False, False, reached, -opening_sign(gripper) * jaw.load)
         if not detector.stopped(now, jaw.position):
-            stopped_at = None
+            stopped_at, standing = None, 0
         elif stopped_at is None:
             stopped_at = now
-        arrived = abs(opening_from_angle(gripper, jaw.position) - opening) <= ARRIVED
-        blocked = stopped_at is not None and now - stopped_at >= GUARD
+        standing += 1
+        off = opening_from_angle(gripper, jaw.position) - opening
+        arrived = abs(off) <= ARRIVED
+        # Beyond their goal jaws only swing back: what stops them stands before it.
+        short = (off < 0.0) is opens and not arrived
+        blocked = short and stopped_at is not None and now - stopped_at >= GUARD and standing >= _STANDING_LOOKS
         if abs(jaw.velocity) < _STANDS and (arrived or blocked):
             state = body.state("grip")
             return GripReport(True, abs(state.opening - opening) > ARRIVED, state.opening, state.gripper_load)

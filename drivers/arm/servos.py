@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from controller.domain import ArmDescription
 from controller.errors import BusError, ConfigError, ServoFault
-from drivers.arm.bus import Bus, Reply
+from drivers.arm.bus import Bus
 from drivers.arm.control_table import MODELS, REGISTERS, Model, hardware_error_text
 from drivers.arm.conversions import (
     TICKS_MAX,
@@ -19,6 +19,7 @@ from drivers.arm.conversions import (
     angle_from_ticks,
     ticks_from_angle,
 )
+from drivers.arm.replies import Reply
 
 LIMIT_MARGIN = math.radians(5.0)
 """How far goals may lie beyond a joint's limits, rad: the offsets against sag and lag reach 5 degrees."""

@@ -16,11 +16,12 @@ from sim_backends.plant import Plant
 from sim_backends.virtual_dynamixel.faults import Fault, FaultInjector
 from sim_backends.virtual_dynamixel.health import ERROR_ENCODER, ERROR_OVERHEAT, ERROR_OVERLOAD, ERROR_SHOCK
 from sim_backends.virtual_dynamixel.instructions import BAUD_RATES, Answer, Listeners
-from sim_backends.virtual_dynamixel.protocol import InstructionParser, Packet
+from sim_backends.virtual_dynamixel.protocol import BROADCAST, InstructionParser, Packet
 from sim_backends.virtual_dynamixel.servo import HOUSEKEEPING, ServoSpec, VirtualServo
 
 PATIENCE = 0.1
 """s of silence after which servos forget an unfinished packet. Assumption."""
+_PIECE = 16  # bytes of a fast read's reply that are handed over together
 Replies = list[tuple[float, bytes]]
 
 
@@ -208,8 +209,18 @@ class VirtualBus:
         if servo_id in self._listeners.doubled:
             # Two servos talk at once; nobody can read the end of it.
             packet = packet[:-2] + bytes(byte ^ 0xFF for byte in packet[-2:])
-        if self._latency:
-            arrival = math.ceil(arrival / self._latency) * self._latency
         if self.faults.active:
             arrival, packet = self.faults.on_status(servo_id, packet, arrival)
-        return [(arrival, packet)] if packet else []
+        if servo_id != BROADCAST:
+            return [(self._handed_over(arrival), packet)] if packet else []
+        # An adapter does not wait for the end of a packet that many servos talk into.
+        byte_time = 10.0 / self._listeners.baud
+        ends = [min(start + _PIECE, len(packet)) for start in range(0, len(packet), _PIECE)]
+        return [
+            (self._handed_over(arrival - (len(packet) - end) * byte_time), packet[start:end])
+            for start, end in zip(range(0, len(packet), _PIECE), ends, strict=True)
+        ]
+
+    def _handed_over(self, arrival: float) -> float:
+        """When the host gets what has arrived at the adapter, s."""
+        return math.ceil(arrival / self._latency) * self._latency if self._latency else arrival

@@ -47,13 +47,17 @@ class PtyBus:
     Args:
         bus: What to serve; after `start` only this object's thread may touch it or its plant: use `call`.
         link: Symbolic link to keep pointing at the terminal, which changes its name when it is replugged.
+        awake: s before an answer is due and after it during which the thread does not sleep: where speed is
+            measured, the system's wake-up must not make it late.
     """
 
-    def __init__(self, bus: VirtualBus, link: Path | None = None) -> None:
+    def __init__(self, bus: VirtualBus, link: Path | None = None, awake: float = 0.0) -> None:
         self.bus = bus
         """The bus it serves."""
         self._plant = bus.plant
         self._link = link
+        self._awake = awake
+        self._awake_until = -math.inf
         self._master = self._slave = -1
         self._terminal = ""
         self._replies: list[tuple[float, int, bytes]] = []
@@ -191,10 +195,18 @@ class PtyBus:
         """Sleep until bytes or a job arrive, an answer is due, or a tick has passed."""
         due = self._time + self._offset + TICK
         if self._replies:
-            due = min(due, self._replies[0][0])
+            due = min(due, self._replies[0][0] - self._awake)
         timeout = max(0.0, due - time.monotonic())
         watched = [self._wake_out] if self._master < 0 else [self._master, self._wake_out]
-        return select.select(watched, [], [], timeout)[0]
+        while (now := time.monotonic()) < self._awake_until:
+            if self._replies and self._replies[0][0] <= now:
+                return []
+            if readable := select.select(watched, [], [], 0.0)[0]:
+                return readable
+        readable = select.select(watched, [], [], timeout)[0]
+        if not readable and self._replies:
+            self._awake_until = self._replies[0][0] + self._awake
+        return readable
 
     def _follow(self, wall: float) -> None:
         """Let the plant catch up with the wall clock, a short stretch at most."""
