@@ -27,7 +27,7 @@ from controller.ports import Arm, Camera, Clock, Presenter, Truth
 from controller.vision.watch import WatchedCamera
 
 if TYPE_CHECKING:
-    from drivers.arm.bus import BusStatistics
+    from drivers.arm.replies import BusStatistics
     from drivers.camera.listing import CameraListing
     from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
