@@ -20,7 +20,7 @@ from controller.config.cell import CellConfig
 from controller.cycle.machine import State
 from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, Array, Frame, Point, Shape, TruePart
+from controller.domain import ArmDescription, Array, Frame, PickPlan, Point, Shape, TruePart
 from controller.errors import DeviceError, InputError
 from controller.geometry import CameraModel, transform
 from controller.ports import Arm, Camera, Clock, Presenter, Truth
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from drivers.camera.listing import CameraListing
     from sim_backends.cell import SimulatedCell
     from sim_backends.cell_spec import CellSpec
+    from sim_backends.disturbances import Disturber
     from sim_backends.fault_script import FaultDirector
 
 
@@ -71,6 +72,7 @@ class BackendOptions:
         level: Imperfections of the simulated world.
         real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
         faults: Script of what goes wrong in the simulated cell.
+        disturb: What disturbs the simulated cell, as a wish of `sim_backends.disturbances`.
         watch_clock: Wraps the clock of real devices, for whoever watches that the cell makes progress.
     """
 
@@ -81,6 +83,7 @@ class BackendOptions:
     level: Level = Level.DYNAMIC
     real_time: bool = False
     faults: Path | None = None
+    disturb: str = ""
     watch_clock: Callable[[Clock], Clock] = lambda clock: clock
 
 
@@ -100,6 +103,7 @@ class Devices:
         concerns: What is not in order and no reason to stop yet: causes in words by code of the fault catalogue.
         observers: Watchers a set needs for itself.
         script: Lets a script's faults happen, where one was given.
+        disturbed: What has disturbed the cell so far: kind and s after the work began.
         closers: Called in reverse order by `close`.
     """
 
@@ -117,6 +121,7 @@ class Devices:
     concerns: Callable[[], Mapping[str, str]] = dict
     observers: tuple[Observer, ...] = ()
     script: FaultDirector | None = None
+    disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     closers: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self) -> None:
@@ -240,6 +245,8 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
             "faults can be scripted in simulated time and at level dynamic only",
             "leave --real-time out, and use --level dynamic: without noise a frozen picture is like any other",
         )
+    if options.real_time and options.disturb:
+        raise InputError("nothing disturbs a cell in real time", "leave --real-time or --disturb out")
     if options.real_time:
         return _served_devices(spec, arm, options)
     cell = simulated_cell(spec)
@@ -271,8 +278,12 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         miniature=lambda: cell.overview(_MINIATURE),
         on_step=cell.plant.on_step,
         touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
-        observers=() if script is None else (_Prompter(script),),
+        observers=(
+            *([] if script is None else [_Prompter(script)]),
+            *([] if cell.disturber is None else [_Disturbed(cell.disturber, config.table.T_base_table())]),
+        ),
         script=script,
+        disturbed=lambda: () if cell.disturber is None else tuple((at, kind) for kind, at in cell.disturber.happened),
     )
 
 
@@ -306,6 +317,22 @@ class _Prompter(Observer):
     def entered(self, state: State, at: float) -> None:
         """The cell entered a state."""
         self._script.entered(state.value)
+
+
+@dataclass(frozen=True, slots=True)
+class _Disturbed(Observer):
+    """Tells what disturbs a cell where the cell is in its work."""
+
+    disturber: Disturber
+    T_base_table: Array
+
+    def entered(self, state: State, at: float) -> None:
+        """The cell entered a state."""
+        self.disturber.entered(state.value)
+
+    def planned(self, plan: PickPlan) -> None:
+        """The arm is about to take a part."""
+        self.disturber.aimed(transform(self.T_base_table, [*plan.target.center, 0.0])[:2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,6 +470,7 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         parts=options.parts,
         seed=options.seed,
         level=str(options.level),
+        disturb=options.disturb,
         heights={part.shape: part.height_mm for part in config.parts},
         # The controller knows its own place to some mm and a degree: what lies on the rim may be out for it.
         work_area=WorkArea(

@@ -561,7 +561,7 @@ class TruePart:
         size: (long, short) side of the footprint's minimum-area rectangle, mm.
         height: mm.
         upright: It stands on the face it was laid on.
-        place: `table`, `gripper`, `floor`, or the name of the bin it lies in.
+        place: `table`, `gripper`, `floor`, `away` (a person has it), or the name of the bin it lies in.
         reachable: It lay within the arm's reach at the start.
     """
 

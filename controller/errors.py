@@ -134,6 +134,10 @@ class PartHeld(ArmError):
     """The jaws were opened and still hold a part: somebody must take it out."""
 
 
+class Intruder(SorterError):
+    """A hand or something else that is large and unknown is over the table: nothing moves until it is gone."""
+
+
 class PlanError(SorterError, ValueError):
     """No safe plan for this target: skip it or clear the way; nothing has moved."""
 

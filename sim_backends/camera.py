@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import math
+from collections import deque
 from collections.abc import Callable
 
 from controller.domain import Frame
 from controller.errors import CameraLost, FrameStale
 from sim_backends.painter import Image
-from sim_backends.world import Snapshot, World
-from sim_backends.world_model import STEP
+from sim_backends.world import TICK, Snapshot, World
 
 PERIOD = 1.0 / 30.0  # s between exposures
 EXPOSURE = 0.008  # s
 _NAME = "simulated camera"
+_KEPT = 12
+"""Exposures that are kept: the latency of the slowest camera, several times."""
 
 
 class SimulatedCamera:
-    """Paints the world as it was in the middle of an exposure; waiting for a frame lets the world move on.
+    """Runs freely, as cameras do: it exposes on its own beat whether or not anybody wants a frame, and paints
+    those that are asked for. Waiting for a frame lets the world move on.
 
     Args:
-        world: Owner of time and motion.
+        world: Owner of time and motion; gets this camera on its tick.
         paint: Makes the picture of a snapshot.
         latency: From the end of the exposure to the delivery of the frame, s.
     """
@@ -31,42 +33,55 @@ class SimulatedCamera:
         self._latency = latency
         self._open = False
         self._count = 0
+        self._next = 0.0
+        self._given = -1.0
+        self._exposed: deque[Snapshot] = deque(maxlen=_KEPT)
 
     def open(self) -> None:
         """Make frames available."""
         self._open = True
+        self._next = self._world.now()
+        self._world.on_tick = self._tick
 
     def close(self) -> None:
         """Release the camera; harmless when it is not open."""
         self._open = False
+        self._exposed.clear()
+        self._world.on_tick = None
 
     def capture(self, after: float, timeout: float = 2.0) -> Frame:
-        """The first frame whose exposure begins at or after `after` and not before now; advances simulated time.
+        """The newest frame whose exposure began at or after `after`; lets simulated time pass until there is one.
 
         Raises:
             CameraLost: It is not open.
-            FrameStale: The frame would not arrive within `timeout` s of simulated time.
+            FrameStale: None is delivered within `timeout` s of simulated time.
         """
         if not self._open:
             raise CameraLost(_NAME, "capture", "it is not open")
-        world, now = self._world, self._world.now()
-        begin = math.ceil(max(after, now) / PERIOD - 1e-9) * PERIOD
-        if begin + EXPOSURE + self._latency > now + timeout:
-            world.advance(timeout)
-            raise FrameStale(_NAME, "capture", f"no frame within {timeout:g} s")
-        self._advance_to(begin + EXPOSURE / 2.0)
-        snapshot = world.snapshot()
-        world.remember()
-        self._advance_to(begin + EXPOSURE)
-        ended = world.now()
-        self._advance_to(ended + self._latency)
-        image = self._paint(snapshot)
+        deadline = self._world.now() + timeout
+        while (shot := self._delivered(after)) is None:
+            missing = deadline - self._world.now()
+            if missing <= 0.0:
+                raise FrameStale(_NAME, "capture", f"no frame within {timeout:g} s")
+            self._world.advance(min(TICK, missing))
+        self._given = shot.at
+        image = self._paint(shot)
         image.flags.writeable = False
         self._count += 1
-        return Frame(self._count, ended, image, _NAME)
+        return Frame(self._count, shot.at + EXPOSURE / 2.0, image, _NAME)
 
-    def _advance_to(self, at: float) -> None:
-        """The world moves in whole steps: not before `at`, and less than a step after it."""
-        missing = at - self._world.now()
-        if missing > 0.0:
-            self._world.advance(math.ceil(missing / STEP - 1e-9) * STEP)
+    def _delivered(self, after: float) -> Snapshot | None:
+        """The newest exposure begun at or after `after` that has arrived and was not given out before."""
+        arrived = self._world.now() - EXPOSURE / 2.0 - self._latency + 1e-9
+        for shot in reversed(self._exposed):
+            if shot.at <= arrived:
+                return shot if shot.at - EXPOSURE / 2.0 >= after - 1e-9 and shot.at > self._given else None
+        return None
+
+    def _tick(self) -> None:
+        """The middle of an exposure, when one is due: the world as it is now."""
+        now = self._world.now()
+        if now + 1e-9 >= self._next:
+            self._next += PERIOD
+            self._exposed.append(self._world.snapshot())
+            self._world.remember()

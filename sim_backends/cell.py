@@ -15,12 +15,14 @@ from sim_backends.arm_shape import MarkerMount, link_name
 from sim_backends.camera import SimulatedCamera
 from sim_backends.cell_spec import CellSpec
 from sim_backends.clock import SimClock
+from sim_backends.disturbances import Disturber, disturbances
 from sim_backends.hands import Hands, displacement
 from sim_backends.imperfections import Imperfections, draw
 from sim_backends.lens import Lens
 from sim_backends.painter import Image, Painter
 from sim_backends.painter_surface import Print
-from sim_backends.parts import Part, scatter
+from sim_backends.parts import Part, scatter, spare_parts
+from sim_backends.person import Person, hand_solids
 from sim_backends.plant import Plant
 from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
@@ -47,6 +49,7 @@ class SimulatedCell:
         lens: The true camera.
         T_base_table: True pose of `table` in `base`: where the sheet comes to lie, shape (4, 4), mm.
         T_tool_marker: True pose of the marker in `tool`, shape (4, 4), mm.
+        disturber: What disturbs its work, if anything does.
     """
 
     def __init__(self, spec: CellSpec, laid: Sequence[Part] | None = None) -> None:
@@ -61,10 +64,25 @@ class SimulatedCell:
         )
         if laid is None:
             laid = scatter(spec.parts, spec.seed, imperfections, spec.heights, spec.grips, spec.work_area)
-        parts = tuple(laid)
+        script = disturbances(spec.disturb, spec.seed, spec.parts)
+        spares = spare_parts(
+            sum(event.kind == "add" for event in script),
+            spec.seed, imperfections, spec.heights, spec.grips, spec.work_area,
+        )  # fmt: skip
+        parts = (*laid, *spares)
         self.world = World(
-            spec.arm, spec.bins, nominal_table, parts, imperfections, spec.marker, self.T_tool_marker
+            spec.arm,
+            spec.bins,
+            nominal_table,
+            parts,
+            imperfections,
+            spec.marker,
+            self.T_tool_marker,
+            spares=len(spares),
+            hand=hand_solids() if script else (),
         )
+        person = Person(self.world, spec.work_area)
+        self.disturber = Disturber(script, self.world, person, spec.seed) if script else None
         self._reachable = tuple(can_reach(spec.arm, part.x, part.y) for part in parts)
         self.lens = _true_lens(spec, imperfections)
         self.clock = SimClock(self.world)
@@ -95,7 +113,7 @@ class SimulatedCell:
 
     def truth(self) -> tuple[TruePart, ...]:
         """Where every part is now."""
-        return self._truth(self.world.part_poses(), self.world.held)
+        return self._truth(self.world.part_poses(), self.world.held, self.world.away)
 
     def truth_at(self, at: float) -> tuple[TruePart, ...]:
         """Where every part was at a past time: exact at captures, within 0.05 s else."""
@@ -128,10 +146,12 @@ class SimulatedCell:
         picture = self._overview[1].paint(self.world.snapshot(), self.presenter.sheet, self.presenter.board)
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _truth(self, poses: Array, held: frozenset[int]) -> tuple[TruePart, ...]:
+    def _truth(
+        self, poses: Array, held: frozenset[int], away: frozenset[int] = frozenset()
+    ) -> tuple[TruePart, ...]:
         world = self.world
         nominal = np.array(self.spec.T_base_table)
-        return true_parts(world.parts, poses, held, world.bins, nominal, self.T_base_table, self._reachable)
+        return true_parts(world.parts, poses, held, world.bins, nominal, self.T_base_table, self._reachable, away)
 
     def _paint(self, snapshot: Snapshot) -> Image:
         return self._painter.paint(snapshot, self.presenter.sheet, self.presenter.board)

@@ -49,6 +49,7 @@ class CellSpec:
         work_area: Where parts are scattered.
         marker: The printed marker on the gripper.
         overrides: Single imperfections that replace the level's, by field name.
+        disturb: What happens while it works, as a wish of `disturbances`; "" for nothing.
     """
 
     arm: ArmDescription
@@ -65,6 +66,7 @@ class CellSpec:
     work_area: WorkArea = field(default_factory=WorkArea)
     marker: MarkerMount = field(default_factory=MarkerMount)
     overrides: Mapping[str, float | Vector] = field(default_factory=dict)
+    disturb: str = ""
 
     def nominal_matrix(self) -> Array:
         """Camera matrix by the data sheet, shape (3, 3), px."""

@@ -170,6 +170,24 @@ def scatter(
     raise ConfigError(f"{count} parts do not fit into the work area", "ask for fewer or smaller parts")
 
 
+def spare_parts(
+    count: int,
+    seed: int,
+    imperfections: Imperfections,
+    heights: Mapping[Shape, float],
+    grips: Sequence[float],
+    area_: WorkArea,
+) -> tuple[Part, ...]:
+    """`count` parts of random shapes that do not lie on the table yet; the same for the same seed."""
+    random = np.random.default_rng([seed, 10])
+    made = []
+    for _ in range(count):
+        kind = SHAPES[int(random.integers(len(SHAPES)))]
+        shape, colour, grip, _, mass, friction = _kind(random, kind, imperfections, heights, grips)
+        made.append(Part(shape, colour, grip, heights[shape], mass, friction, *somewhere(random, area_)))
+    return tuple(made)
+
+
 def _kind(
     random: np.random.Generator,
     shape: Shape,
@@ -208,7 +226,7 @@ def _places(
 
     for index in sorted(range(len(rings)), key=lambda i: -outer[i]):
         for _ in range(100):
-            x, y, yaw = _somewhere(random, area_)
+            x, y, yaw = somewhere(random, area_)
             here = placed(rings[index], x, y, yaw)
             if has_room(index, here, x, y):
                 places[index], outlines[index] = (x, y, yaw), here
@@ -218,7 +236,8 @@ def _places(
     return [places[index] for index in range(len(rings))]
 
 
-def _somewhere(random: np.random.Generator, area_: WorkArea) -> tuple[float, float, float]:
+def somewhere(random: np.random.Generator, area_: WorkArea) -> tuple[float, float, float]:
+    """A place (x, y) of `base`, mm, and a turn, rad, uniform over the area."""
     radius = math.sqrt(random.uniform(area_.radius[0] ** 2, area_.radius[1] ** 2))
     azimuth = random.uniform(*area_.azimuth)
     return radius * math.cos(azimuth), radius * math.sin(azimuth), random.uniform(-math.pi, math.pi)
@@ -229,7 +248,7 @@ def _squeezed(
 ) -> list[tuple[float, float, float]] | None:
     """Places found by pushing a random heap apart: denser than places tried one after the other can be."""
     reach = np.array([float(np.sqrt((ring**2).sum(axis=1)).max()) for ring in rings])
-    places = np.array([_somewhere(random, area_) for _ in rings])
+    places = np.array([somewhere(random, area_) for _ in rings])
     for _ in range(300):
         apart = places[:, None, :2] - places[None, :, :2]
         separation = np.sqrt((apart**2).sum(axis=2))

@@ -28,6 +28,7 @@ def true_parts(
     T_base_bins: Array,
     T_base_table: Array,
     reachable: Sequence[bool],
+    away: frozenset[int] = frozenset(),
 ) -> tuple[TruePart, ...]:
     """Truth about all parts at one moment.
 
@@ -39,6 +40,7 @@ def true_parts(
         T_base_bins: The `table` their centres are given in.
         T_base_table: The `table` the truth is told in.
         reachable: For each part whether the arm could reach it at the start.
+        away: Those that a person has.
     """
     out = []
     to_table, to_bins = np.linalg.inv(T_base_table), np.linalg.inv(T_base_bins)
@@ -57,7 +59,9 @@ def true_parts(
                 size=part.size,
                 height=part.height,
                 upright=bool(z_axis[2] > math.cos(_LEAN)),
-                place=_place(to_bins[:3, :3] @ pose[:3] + to_bins[:3, 3], index in held, bins),
+                place="away"
+                if index in away
+                else _place(to_bins[:3, :3] @ pose[:3] + to_bins[:3, 3], index in held, bins),
                 reachable=reachable[index],
             )
         )

@@ -23,6 +23,7 @@ from sim_backends.solids import Array, Solid
 from sim_backends.world_contacts import Collision, Contacts
 from sim_backends.world_model import (
     FLOOR,
+    HAND_AWAY,
     MM,
     STEP,
     bin_solids,
@@ -35,6 +36,7 @@ from sim_backends.world_model import (
 
 # Contacts are looked at and play is redistributed every so many steps: 10 ms, in which a fast arm moves 5 mm.
 _LOOK_EVERY = 5
+TICK = _LOOK_EVERY * STEP
 # The past of the parts is kept at this spacing, in steps: 0.1 s.
 _REMEMBER_EVERY = 50
 # Torque at which the play of a gear lies wholly on one flank, Nm.
@@ -43,6 +45,8 @@ _FLANK_TORQUE = 0.04
 _BLOCKED = 200.0
 # A part this near to where it was laid has at most been pushed, mm: bins are further away.
 _PUSHED = 40.0
+# Friction of a part that slips out of any jaws.
+_GREASED = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +81,9 @@ class _Servo:
 class World:
     """Physics of one cell; a `Plant` for the servo bus. Not thread-safe.
 
+    Attributes:
+        on_tick: Called every `TICK` s of simulated time, for whoever looks at the world on a beat of his own.
+
     Args:
         arm: The arm as described; its links and mounting get the imperfections.
         bins: Boxes on the table, given in `table`.
@@ -85,6 +92,8 @@ class World:
         imperfections: What is not as described.
         marker: The plate on the gripper.
         T_tool_marker: Where it truly is; None for its nominal place.
+        spares: How many of the parts, the last ones, are somewhere else until a person adds them.
+        hand: Solids of a person's hand in its own coordinates; it is seen and touches nothing.
     """
 
     def __init__(
@@ -96,6 +105,8 @@ class World:
         imperfections: Imperfections,
         marker: MarkerMount | None = None,
         T_tool_marker: Array | None = None,
+        spares: int = 0,
+        hand: Sequence[Solid] = (),
     ) -> None:
         marker = marker or MarkerMount()
         self.arm = arm
@@ -108,13 +119,15 @@ class World:
             *(s for solids in boxes.values() for s in solids),
             *shape,
             *(part_solid(i, p, COLOURS[p.colour]) for i, p in enumerate(parts)),
+            *hand,
         )
         self._bin_of_solid = [name for name, solids in boxes.items() for _ in solids]
-        self._model = mujoco.MjModel.from_xml_string(build(arm, shape, boxes, parts, imperfections))
+        self._model = mujoco.MjModel.from_xml_string(build(arm, shape, boxes, parts, imperfections, bool(hand)))
         self._data = mujoco.MjData(self._model)
         self._steps = 0
         self._carry = 0.0
         self._callbacks: list[Callable[[float], None]] = []
+        self.on_tick: Callable[[], None] | None = None
         self._friction_damping = self._model.dof_damping.copy()
         self._servos = self._find_servos(imperfections)
         self._friction: dict[int, float] = {}
@@ -125,8 +138,12 @@ class World:
         self._jaw_qpos = self._model.joint(LEFT).qposadr[0]
         self._contacts = Contacts(self._model, self._data, arm, len(parts), self.opening)
         self._aside = False
+        self._spares = frozenset(range(len(parts) - spares, len(parts)))
+        self._away: set[int] = set(self._spares)
         self._past_times: list[float] = []
         self._past: list[tuple[NDArray[np.float64], frozenset[int]]] = []
+        for index in self._spares:
+            self._carry_off(index)
         self._pose_at_rest()
         self.remember()
 
@@ -159,6 +176,8 @@ class World:
                 self._contacts.look(self.now())
                 if self._steps % _REMEMBER_EVERY == 0:
                     self.remember()
+                if self.on_tick is not None:
+                    self.on_tick()
 
     def shaft(self, servo_id: int) -> Shaft:
         """The shaft of one servo: joint angle plus mounting offset plus play, turned as the servo is mounted."""
@@ -277,8 +296,10 @@ class World:
 
     def put_back(self) -> None:
         """Put every part where it lay at the start."""
+        self._away = set(self._spares)
         for index in range(len(self.parts)):
-            self._lay(index)
+            if index not in self._away:
+                self._lay(index)
         self._aside = False
         self._settled()
 
@@ -288,9 +309,40 @@ class World:
         self._settled()
 
     def take_away(self, index: int) -> None:
-        """Take one part off the table for good."""
+        """Take one part off the table, for good or until it is laid down somewhere."""
         self._carry_off(index)
+        self._away.add(index)
         self._settled()
+
+    def lay_at(self, index: int, x: float, y: float, yaw: float) -> None:
+        """Lay a part on the table at (x, y) of `base`, mm, turned by `yaw`, rad."""
+        turn = (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0))
+        self._put(self._part_qpos[index], (x * MM, y * MM, self.parts[index].height * MM / 2.0, *turn))
+        self._away.discard(index)
+        self._settled()
+
+    def shove(self, index: int, velocity: tuple[float, float], spin: float) -> None:
+        """Give a part a velocity along the table, mm/s, and a turn about the vertical, rad/s."""
+        dof = self._part_dof(index)
+        self._data.qvel[dof : dof + 6] = (velocity[0] * MM, velocity[1] * MM, 0.0, 0.0, 0.0, spin)
+        self._settled()
+
+    def grease(self, index: int, greased: bool) -> None:
+        """Make a part too slippery to be held, or as it was."""
+        geom = self._model.geom(part_name(index)).id
+        self._model.geom_friction[geom, 0] = _GREASED if greased else self.parts[index].friction
+
+    def show_hand(self, pose: Array | None) -> None:
+        """Bring the hand to a pose in `base`, shape (4, 4), mm; None: out of every sight."""
+        data = self._data
+        data.mocap_pos[0] = np.array(HAND_AWAY) * MM if pose is None else pose[:3, 3] * MM
+        yaw = 0.0 if pose is None else math.atan2(pose[1, 0], pose[0, 0])
+        data.mocap_quat[0] = (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0))
+
+    @property
+    def away(self) -> frozenset[int]:
+        """Parts that a person has taken or not yet brought."""
+        return frozenset(self._away)
 
     def nearest_to_tool(self) -> int | None:
         """Index of the part nearest to the grasp point among those that lie about where they were laid, if any."""
@@ -324,12 +376,15 @@ class World:
         dof = self._model.jnt_dofadr[self._model.jnt_qposadr.tolist().index(address[0])]
         self._data.qvel[dof : dof + 6] = 0.0
 
+    def _part_dof(self, index: int) -> int:
+        return int(self._model.joint(part_name(index)).dofadr[0])
+
     def _settled(self) -> None:
         """Start the solver afresh: what slept on old contacts must not sleep on."""
         data = self._data
-        keep = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()
+        keep = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.mocap_pos.copy(), data.mocap_quat.copy()
         mujoco.mj_resetData(self._model, data)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = keep
+        data.qpos[:], data.qvel[:], data.ctrl[:], data.mocap_pos[:], data.mocap_quat[:] = keep
         data.time = self.now()
         self._contacts.forget()
         mujoco.mj_forward(self._model, data)

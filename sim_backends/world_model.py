@@ -30,6 +30,8 @@ TABLE_THICKNESS = 25.0
 FLOOR = -700.0
 WALL = 3.0  # bins: thickness of walls and floor, mm
 HORN = "horn"
+HAND = "hand"
+HAND_AWAY = (3000.0, 0.0, 100.0)  # where nobody sees it, mm
 CRADLE = "cradle"
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 # The stops lie beyond the described limits, as the horn of a real servo may sit askew.
@@ -154,8 +156,9 @@ def build(
     bins: dict[str, tuple[Solid, ...]],
     parts: Sequence[Part],
     imperfections: Imperfections,
+    hand: bool = False,
 ) -> str:
-    """The MJCF text of the whole cell."""
+    """The MJCF text of the whole cell, with a hand that only the camera sees where one is asked for."""
     meshes: list[str] = []
     world = [_plane(), _table(), *(_fixed(name, solids) for name, solids in bins.items())]
     world.append(_fixed(BASE, [s for s in arm_solids if s.body == BASE], arm=True))
@@ -164,6 +167,8 @@ def build(
         body, mesh = _part(index, part)
         world.append(body)
         meshes += mesh
+    if hand:
+        world.append(f'<body name="{HAND}" mocap="true" pos="{_numbers(np.array(HAND_AWAY) * MM)}"/>')
     constant, *rest = coupling(arm.gripper)
     # MuJoCo counts both joints from their references: the servo's 0, the jaw's half opening there.
     coefficients = _numbers((constant - half_opening(arm.gripper, 0.0) * MM, *rest))

@@ -38,12 +38,16 @@ class Job:
         config: The cell.
         parts: On the table.
         seed, level: Of the simulated world.
+        disturb: What disturbs it, as for `controller run --disturb`.
+        pick_proof: Whether grasps are proved.
     """
 
     config: CellConfig
     parts: int
     seed: int
     level: Level
+    disturb: str = ""
+    pick_proof: bool = True
 
 
 def sort_one(job: Job) -> Record:
@@ -52,7 +56,15 @@ def sort_one(job: Job) -> Record:
     with tempfile.TemporaryDirectory(prefix="evaluate-") as folder:
         out = Path(folder) / "run"
         options = RunOptions(
-            Mode.SIM, job.config, out=out, parts=job.parts, seed=job.seed, level=job.level, watch=trial.watch
+            Mode.SIM,
+            job.config,
+            out=out,
+            parts=job.parts,
+            seed=job.seed,
+            level=job.level,
+            disturb=job.disturb,
+            pick_proof=job.pick_proof,
+            watch=trial.watch,
         )
         problem = {}
         began = process_time()

@@ -62,6 +62,9 @@ def run(
     faults: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Simulation: a script of what goes wrong; see configs/faults.")
     ] = None,
+    disturb: Annotated[
+        str, typer.Option(metavar="KINDS", help="Simulation: slip, knock, remove, add, move, swap, hand, or all.")
+    ] = "",
     video: Annotated[Path | None, typer.Option(metavar="FILE", help="Simulation: film the run into FILE.mp4.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="New folder for the record and the report.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The figures as one JSON line on stdout.")] = False,
@@ -76,6 +79,8 @@ def run(
     mode = _mode(sim, replay, real_time)
     if video is not None and (mode is not Mode.SIM or real_time):
         raise typer.BadParameter("--video belongs to --sim, without --real-time")
+    if disturb and mode is not Mode.SIM:
+        raise typer.BadParameter("--disturb belongs to --sim")
     if faults is not None and mode is not Mode.SIM:
         raise typer.BadParameter("--faults belongs to --sim")
     rehearsal = _rehearsal(mode, dry_run, air_run)
@@ -106,6 +111,7 @@ def run(
             start=start,
             rehearsal=rehearsal,
             faults=faults,
+            disturb=disturb,
             observers=(cycle_log, progress, *([_Intentions(say)] if dry_run else [])),
             watch=film.watch if film is not None else lambda devices: (),
             confirm=_ask if step else lambda plan: True,

@@ -172,6 +172,8 @@ class CycleSection(StrictModel):
     """How often an empty table is looked at."""
     picks_per_look: int = Field(1, ge=1, le=100)
     """How many parts are picked from one picture before the next is taken."""
+    resume_when_clear_s: float = Field(0.0, ge=0.0, le=600.0)
+    """After a hand was over the table: go on when the view has been clear so long; 0: when an operator says so."""
     vision_budget_s: float = Field(0.05, ge=0.0, le=5.0)
     planning_budget_s: float = Field(0.02, ge=0.0, le=5.0)
 

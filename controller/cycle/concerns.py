@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from controller.cycle.rig import Rig
+from controller.cycle.stock import Stock
+from controller.domain import LocatedObject
+from controller.motion.planner import Planner
 
 LOW_SUPPLY = 10.8
 """V at the servos below which the cell moves slowly: a tenth less than the 12 V that all of them want."""
@@ -29,6 +32,17 @@ class Concerns:
 
     def __contains__(self, code: str) -> bool:
         return code in self._known
+
+    def review(self, seen: Sequence[LocatedObject], stock: Stock) -> Planner:
+        """Warn of what is not in order after a look; the planner to go on with, a slow one while the supply is weak."""
+        found = dict(self._rig.concerns())
+        if waiting := stock.waited_for(seen):
+            found["bin_full"] = "; ".join(f"{name} is full, {count} parts wait" for name, count in waiting.items())
+        voltage, weak = self._rig.arm.state().voltage, "supply_low" in self._known
+        if voltage is not None and voltage < (GOOD_SUPPLY if weak else LOW_SUPPLY):
+            found["supply_low"] = f"{voltage:.1f} V at the servos"
+        self.update(found)
+        return self._rig.planner.slowed(SLOW) if "supply_low" in found else self._rig.planner
 
     def update(self, found: Mapping[str, str]) -> None:
         """Take in everything that is of concern now, by code of the fault catalogue: its cause in words."""

@@ -6,7 +6,9 @@ the jaws do not let go. Torque stays on, and nothing moves.
 
 from __future__ import annotations
 
-from controller.errors import SorterError
+import math
+
+from controller.errors import Intruder, SorterError
 
 FIRST_PAUSE = 0.5
 """s before the first new try; doubled after every one that fails."""
@@ -19,6 +21,9 @@ PATIENCE = 60.0
 
 SLICE = 0.05
 """s between looks at whether somebody has asked for a stop, or to go on."""
+
+GLANCE = 0.25
+"""s between looks at whether what was over the table is gone."""
 
 RELEASES = 3
 """How often the jaws are opened over a bin before a part is taken to stick to them."""
@@ -35,19 +40,29 @@ class Hold:
         cause: What failed last.
         since: When it began, s of the cell's clock.
         next_try: When to try again, s of the cell's clock.
+        clear_since: Since when nothing of it is to be seen any more, s of the cell's clock; infinite while it is.
     """
 
     def __init__(self, cause: SorterError, now: float) -> None:
         self.cause = cause
         self.since = now
         self.next_try = now
+        self.clear_since = math.inf
         self._pause = FIRST_PAUSE
 
     def failed(self, cause: SorterError, now: float) -> None:
         """A try has failed: the next comes later."""
         self.cause = cause
+        self.clear_since = math.inf
+        if isinstance(cause, Intruder):
+            self.next_try = now + GLANCE
+            return
         self.next_try = now + self._pause
         self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
+
+    def clear(self, now: float) -> None:
+        """Nothing of the cause is to be seen now."""
+        self.clear_since = min(self.clear_since, now)
 
     @property
     def too_long(self) -> bool:

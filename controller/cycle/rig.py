@@ -47,6 +47,9 @@ class Observer:
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """Motion for a target began."""
 
+    def worked_ahead(self, began: float, ended: float) -> None:
+        """A look was worked out while the arm was placing: from when to when by its budget, s of the cell's clock."""
+
     def failed(self, plan: PickPlan, reason: str) -> None:
         """An attempt failed; the target is tried again or gets its outcome."""
 
@@ -75,6 +78,7 @@ class Rig:
 
     Attributes:
         concerns: What the devices say is not in order yet no reason to hold: causes by code of the fault catalogue.
+        pick_proof: Off, the jaws are believed to hold what they were sent for: only to see what the proof is worth.
     """
 
     config: CellConfig
@@ -89,3 +93,4 @@ class Rig:
     confirm: Callable[[PickPlan], bool] = field(default=lambda plan: True)
     classes: Taught | None = None
     concerns: Callable[[], Mapping[str, str]] = field(default=dict)
+    pick_proof: bool = True

@@ -18,6 +18,8 @@ VERY_PLACE_MM = 15.0
 """Nearer than half of the narrowest part (34 mm) there is room for one part only, whatever it was taken for."""
 SAME_PLACE_MM = 25.0
 """A missed grasp pushes a part by less than half of the narrowest part (34 mm wide) plus the jaw's stroke."""
+REST = 3
+"""Parts taken away meanwhile may have been what stood in the way of one that could not be gripped."""
 SAME_SIZE_MM = 3.0
 """Two looks at one part differ by less: size sigma 0.3 mm, plus what a side face can add near the border."""
 
@@ -33,6 +35,7 @@ class Target:
         attempts: How often motion was started for it.
         plan: The last plan.
         lost: It left its place without arriving: it may lie anywhere.
+        rests_until: So many targets must have their outcome before it is tried again.
     """
 
     target_id: str
@@ -42,6 +45,7 @@ class Target:
     plan: PickPlan | None = None
     lost: bool = False
     reason: str = ""
+    rests_until: int = 0
 
 
 class TargetBook:
@@ -58,6 +62,25 @@ class TargetBook:
     def open(self) -> tuple[Target, ...]:
         """Targets without an outcome, oldest first."""
         return tuple(self._open.values())
+
+    @property
+    def resting(self) -> tuple[Target, ...]:
+        """Open targets that wait until something around them may have changed."""
+        return tuple(target for target in self._open.values() if target.rests_until)
+
+    def rests(self, target: Target, attempts: int, concluded: int) -> bool:
+        """Whether a target that was missed is to be tried again, at once or after a rest; or never any more.
+
+        Args:
+            target: The target.
+            attempts: So many in a row, then a rest; after the second round it is over.
+            concluded: How many targets have their outcome.
+        """
+        if target.attempts >= 2 * attempts:
+            return False
+        if target.attempts == attempts:
+            target.rests_until = concluded + REST
+        return True
 
     def identify(self, seen: Sequence[LocatedObject]) -> tuple[list[LocatedObject], list[Target]]:
         """Give every object of a new look the id of the open target it is.
@@ -89,7 +112,7 @@ class TargetBook:
                 continue
             if distance > SAME_PLACE_MM:
                 newcomer = all(math.dist(thing.center, old) > SAME_PLACE_MM for old in self._previous)
-                if not (target.lost and newcomer):
+                if not (target.attempts and newcomer):
                     continue
             if distance < best_distance:
                 best, best_distance = index, distance

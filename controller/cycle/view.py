@@ -1,4 +1,4 @@
-"""Where in the picture parts may lie: the work area as the camera sees it."""
+"""Where in the picture parts may lie, and where nothing changes: the work area as the camera sees it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from controller.geometry import invert, transform
 
 MARGIN_MM = 40.0
 """A part centred on the border of the work area reaches this far beyond it; neighbours there matter for finger room."""
-
 
 _REACH_MM = 80.0
 """Parts on the border of the work area, their shadows and the jaws above them change the picture this far outside."""

@@ -114,16 +114,27 @@ class Statistics(Observer):
             figures |= self._against_truth(figures)
         return figures
 
+    def _last_of_each_part(self) -> dict[int, int]:
+        """Index of the last outcome of every true part that has one."""
+        assert self._truth is not None
+        last = {}
+        for number, outcome in enumerate(self.outcomes):
+            seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
+            if seen is not None:
+                last[seen.part_id] = number
+        return last
+
     def _against_truth(self, figures: Mapping[str, Any]) -> dict[str, Any]:
         assert self._truth is not None
         final = {part.part_id: part for part in self._truth.now()}
         bins = {bin_.name for bin_ in self._config.bins}
         verdicts: Counter[str] = Counter()
         phantoms: Counter[Result] = Counter()
-        for outcome in self.outcomes:
+        last = self._last_of_each_part()
+        for number, outcome in enumerate(self.outcomes):
             seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
             part = final[seen.part_id] if seen is not None else None
-            if part is None:
+            if part is None or (outcome.result is not Result.PLACED and last[part.part_id] != number):
                 phantoms[outcome.result] += 1
             if outcome.result is not Result.PLACED:
                 continue
@@ -133,7 +144,10 @@ class Statistics(Observer):
                 verdicts["correct"] += 1
             else:
                 verdicts["missorted"] += 1
-        # A target that never was a part is none of the parts, whatever became of the attempt.
+        # What a person has taken is no part of the run, unless the cell was at work on it.
+        final = {number: part for number, part in final.items() if part.place != "away" or number in last}
+        # A target that never was a part is none of the parts, whatever became of the attempt; and one that was lost
+        # and turned up again has its fate from the last attempt.
         true_counts = {
             key: figures[key] - phantoms[Result(key)] for key in ("rejected", "dropped", "indeterminate")
         }

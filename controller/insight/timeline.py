@@ -60,6 +60,10 @@ class Timeline(Observer):
             self.spans.append(Span("state", self._state[0].value, self._state[1], at))
         self._state = state, at
 
+    def worked_ahead(self, began: float, ended: float) -> None:
+        """A look was worked out beside the arm's work."""
+        self.spans.append(Span("computing", "look ahead", began, ended))
+
     @contextmanager
     def noting(self, lane: str, name: str, now: Callable[[], float]) -> Iterator[None]:
         """A span from here to the end of the `with` block, unless that fails."""

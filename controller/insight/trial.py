@@ -19,6 +19,7 @@ from controller.backends import Devices
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Look, Observer
 from controller.domain import Outcome, PickPlan, Point, Result, TruePart
+from controller.errors import SorterError
 from controller.insight.report import annotated
 from controller.insight.statistics import error_of, nearest, right_bin
 from controller.insight.timeline import Timeline
@@ -54,6 +55,8 @@ class Trial(Observer):
     timed: bool = True
     _truth: Truth | None = None
     _touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    _disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    _holds: list[Record] = field(default_factory=list)
     _timeline: Timeline = field(default_factory=Timeline)
     _looks: list[Look] = field(default_factory=list)
     _seen: list[Record] = field(default_factory=list)
@@ -66,7 +69,7 @@ class Trial(Observer):
     def watch(self, devices: Devices) -> Sequence[Observer]:
         """Put the watchers before the devices; the observers the run shall tell."""
         assert devices.truth is not None
-        self._truth, self._touches = devices.truth, devices.touches
+        self._truth, self._touches, self._disturbed = devices.truth, devices.touches, devices.disturbed
         if not self.timed:
             return (self,)
         self._timeline.watch(devices)
@@ -125,6 +128,10 @@ class Trial(Observer):
         """Remember the outcome."""
         self._outcomes.append(outcome)
 
+    def held(self, cause: SorterError, at: float) -> None:
+        """Remember what the cell held for."""
+        self._holds.append({"at_s": round(at, 3), "cause": str(cause)})
+
     # --- afterwards -----------------------------------------------------------------------------------
 
     def record(self, figures: Mapping[str, Any]) -> Record:
@@ -154,6 +161,8 @@ class Trial(Observer):
                 for attempt in self._attempts
             ],
             "outcomes": [self._outcome_json(outcome, final) for outcome in self._outcomes],
+            "disturbed": [{"at_s": at, "kind": kind} for at, kind in self._disturbed()],
+            "holds": self._holds,
             "touches": [{"at_s": round(at, 3), "what": what} for at, what in self._touches()],
             "spans": [asdict(span) for span in self._timeline.spans],
             "failures": self._failures(final),

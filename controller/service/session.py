@@ -71,6 +71,8 @@ class RunOptions:
     start: bool = False
     rehearsal: Rehearsal = Rehearsal.NONE
     faults: Path | None = None
+    disturb: str = ""
+    pick_proof: bool = True
     observers: tuple[Observer, ...] = ()
     watch: Callable[[Devices], Sequence[Observer]] = lambda devices: ()
     confirm: Callable[[PickPlan], bool] = lambda plan: True
@@ -156,6 +158,7 @@ class Session:
                 confirm=self.options.confirm,
                 classes=taught,
                 concerns=devices.concerns,
+                pick_proof=self.options.pick_proof,
             )
             ledger.begin_run(
                 software_version=__version__,
@@ -229,6 +232,7 @@ class Session:
             seed=self.options.seed,
             level=self.options.level,
             faults=self.options.faults,
+            disturb=self.options.disturb,
             real_time=self.options.real_time,
         )
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
-from controller.cycle import sorter as sorter_module
+from controller.cycle import looking
+from controller.cycle.guard import Guard
 from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer, Rig
 from controller.cycle.sorter import Sorter
@@ -28,7 +30,7 @@ from controller.domain import (
     Result,
     Shape,
 )
-from controller.errors import SorterError
+from controller.errors import Intruder, SorterError
 from controller.geometry import CameraModel
 from controller.localization.locate import Located
 from controller.motion.planner import Planner
@@ -120,6 +122,7 @@ class Bench(Observer):
     """The rig, the table as a list, and what was seen of the run."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *parts: LocatedObject) -> None:
+        self._patch = monkeypatch
         self.table = list(parts)
         self.clock = ListeningClock(self)
         self.arm = RecordingArm(load_arm("reactorx_150"), self.clock, on_command=self._commanded, grip_model=self._grip)
@@ -139,8 +142,18 @@ class Bench(Observer):
         self.on_sleep: Callable[[float], None] = lambda now: None
         self.filled: Counter[str] = Counter()
         self._width = 0.0
-        monkeypatch.setattr(sorter_module, "detect", lambda *args, **kwargs: Detected((), {"total": 0.0}))
-        monkeypatch.setattr(sorter_module, "locate", self.locate)
+        monkeypatch.setattr(looking, "detect", lambda *args, **kwargs: Detected((), {"total": 0.0}))
+        monkeypatch.setattr(looking, "locate", self.locate)
+
+    def intrude(self, looks: Container[int]) -> None:
+        """Something reaches over the table in these frames; 1 is the first."""
+        count = itertools.count(1)
+
+        def check(guard: Guard, frame: Frame) -> None:
+            if next(count) in looks:
+                raise Intruder("a hand", "take it away")
+
+        self._patch.setattr(Guard, "check_frame", check)
 
     def locate(self, *_: object) -> Located:
         """What lies on the table."""

@@ -23,7 +23,7 @@ def test_what_could_not_be_located_is_still_in_the_way(monkeypatch: pytest.Monke
         refused = tuple((thing.detection, "no prism fits") for thing in around)
         return Located(tuple(bench.table), refused, around)
 
-    monkeypatch.setattr("controller.cycle.sorter.locate", located)
+    monkeypatch.setattr("controller.cycle.looking.locate", located)
     assert bench.run().left == 5
     assert "approach" not in bench.commands
 

@@ -5,8 +5,17 @@ from __future__ import annotations
 import pytest
 
 from controller.cycle.machine import State
-from controller.domain import LocatedObject, Result, Shape
-from controller.errors import ArmError, CalibrationStale, CameraEnded, CameraLost, LedgerError, MotionTimeout, PartHeld
+from controller.domain import LocatedObject, PickPlan, Result, Shape
+from controller.errors import (
+    ArmError,
+    CalibrationStale,
+    CameraEnded,
+    CameraLost,
+    Intruder,
+    LedgerError,
+    MotionTimeout,
+    PartHeld,
+)
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
 
@@ -388,3 +397,84 @@ def test_what_lies_in_a_bin_counts_in_the_next_run(monkeypatch: pytest.MonkeyPat
     bench = Bench(monkeypatch, part(0, 0))
     bench.filled["squares"] = bench.config.bins[0].capacity
     assert bench.run().left == 1
+
+
+def test_a_hand_over_the_table_holds_the_cell_until_it_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, -90), part(0, 90))
+    bench.intrude(looks=range(2, 6))
+    bench.run()
+    assert isinstance(bench.held_for[0], Intruder)
+    assert bench.results == [Result.PLACED] * 2
+    held = bench.states.index(S.HELD)
+    assert bench.states[held - 1] is S.DETECT
+    assert bench.overcome == 1
+
+
+def test_only_an_operator_goes_on_after_a_hand_when_the_configuration_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.change("cycle", resume_when_clear_s=0.0)
+    bench.intrude(looks=range(1, 3))
+    bench.arm.open()
+    sorter = bench.sorter()
+    moved_while_held: list[str] = []
+    bench.on_command = lambda c: moved_while_held.append("!") if sorter.machine.state is S.HELD else None
+    bench.on_sleep = lambda now: sorter.resume() if now > 30.0 else None
+    sorter.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.outcomes[0].started_at > 30.0
+    assert moved_while_held == []
+
+
+def test_an_operator_cannot_resume_under_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.change("cycle", resume_when_clear_s=0.0)
+    bench.intrude(looks=range(1, 10_000))
+    bench.arm.open()
+    sorter = bench.sorter()
+    bench.on_sleep = lambda now: sorter.resume()
+    sorter.run()
+    assert isinstance(sorter.fault, Intruder)
+    assert "approach" not in bench.commands
+
+
+def test_something_larger_than_any_part_holds_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0, size=150.0))
+    assert isinstance(bench.run().fault, Intruder)
+
+
+def test_a_part_moved_by_other_hands_before_the_grasp_is_the_same_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = part(0, 0)
+    bench = Bench(monkeypatch, before)
+    bench.arm.grip_result(contact=False, opening=50.0)
+    bench.arm.grip_result(contact=False, opening=32.0)
+
+    def move(command: dict[str, object]) -> None:
+        if command.get("name") == "approach" and bench.table == [before]:
+            bench.table[0] = moved(bench.table[0], 0, -90)
+
+    bench.on_command = move
+    bench.run()
+    assert [(o.result, o.attempts) for o in bench.outcomes] == [(Result.PLACED, 2)]
+
+
+def test_a_part_that_was_missed_rests_until_others_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    stubborn = part(0, 0)
+    others = [part(-30, -110, size=36.0), part(0, 110, size=36.0), part(20, -60, size=36.0), part(20, 60, size=36.0)]
+    bench = Bench(monkeypatch, stubborn, *others)
+    bench.change("cycle", attempts=1)
+    tried: list[float] = []
+
+    def refuse(plan: PickPlan) -> bool:
+        if plan.target.size[0] == 40.0:
+            tried.append(bench.clock.now())
+            if len(tried) == 1:
+                bench.arm.grip_result(contact=False, opening=50.0)
+                bench.arm.grip_result(contact=False, opening=32.0)
+        return True
+
+    bench.confirm = refuse
+    bench.run()
+    assert bench.results.count(Result.PLACED) == 5
+    assert len(tried) == 2
+    last_two = [outcome.target.size[0] for outcome in bench.outcomes][-2:]
+    assert 40.0 in last_two

@@ -1,0 +1,129 @@
+"""Which part comes next, and how: the surest and nearest first, and nothing that was given up or has no bin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.cycle.rig import Rig
+from controller.cycle.stock import Stock
+from controller.cycle.targets import Target, TargetBook
+from controller.domain import Array, LocatedObject, PickPlan, Shape
+from controller.errors import NoClearGrasp, PlanError
+from controller.geometry import transform
+from controller.motion.planner import Planner
+
+_SURE = 0.8
+"""Of two candidates of which only one is this sure, that one comes first, however far it is."""
+
+
+class Chooser:
+    """Chooses among the things of one look.
+
+    Attributes:
+        queue: Candidates of the look that are not yet tried, the best first.
+        blocked: Those for which the jaws had no room.
+
+    Args:
+        rig: The cell.
+        book: The open targets.
+        stock: What the bins hold.
+        view: ndarray of shape (N, 2): what the camera must see after a part was placed; `table`, mm.
+    """
+
+    def __init__(self, rig: Rig, book: TargetBook, stock: Stock, view: NDArray[np.float64]) -> None:
+        self._rig, self._book, self._stock, self._view = rig, book, stock, view
+        self._others: tuple[LocatedObject, ...] = ()
+        self._looked_at: list[LocatedObject] = []
+        self.queue: list[LocatedObject] = []
+        self.blocked: list[LocatedObject] = []
+
+    def offer(
+        self, named: Sequence[LocatedObject], in_the_way: Sequence[LocatedObject], start: Array, concluded: int
+    ) -> None:
+        """The things of a new look; what of them may be picked comes into the queue.
+
+        What has no name comes after all that has one: two parts that touch may look like one of no known shape,
+        until the other is gone. Of the others the one comes first that the waist turns least to.
+
+        Args:
+            named: What was located, with the ids of the open targets.
+            in_the_way: What could not be, roughly.
+            start: ndarray of shape (J,): where the arm stands, rad.
+            concluded: How many targets have their outcome: some rest until it is enough.
+        """
+        self._others = (*named, *in_the_way)
+        tried = {target.target_id: target.attempts for target in self._book.open}
+        resting = {target.target_id for target in self._book.resting if target.rests_until > concluded}
+
+        def rank(thing: LocatedObject) -> tuple[int, bool, bool, float]:
+            unsure = thing.detection.score < _SURE
+            return tried.get(thing.target_id, 0), thing.shape is Shape.OTHER, unsure, self._turn(thing, start)
+
+        awake = [thing for thing in named if thing.target_id not in resting]
+        self._looked_at = sorted((thing for thing in awake if self._may_be_picked(thing)), key=rank)
+        self.queue = list(self._looked_at)
+
+    def anew(self) -> None:
+        """All candidates of the look again: the arm stands elsewhere now."""
+        self.queue = list(self._looked_at)
+
+    def next(self, planner: Planner, start: Array, climb: float) -> tuple[Target, PickPlan] | None:
+        """The first candidate that a safe plan exists for, or None.
+
+        Args:
+            planner: Plans it.
+            start: ndarray of shape (J,): where the arm stands, rad.
+            climb: See `Planner.plan_pick`.
+        """
+        self.blocked = []
+        while self.queue:
+            thing = self.queue.pop(0)
+            bin_ = self._stock.bin_for(thing)
+            if bin_ is None:
+                continue
+            others = self._apart_from(thing)
+            try:
+                plan = planner.plan_pick(
+                    thing, others, bin_, self._stock.drop_point(bin_), start,
+                    pile=self._stock.pile(bin_), view=self._view, climb=climb,
+                )  # fmt: skip
+            except PlanError as error:
+                if isinstance(error, NoClearGrasp):
+                    # Found before any path is looked for.
+                    self.blocked.append(thing)
+                else:
+                    self._charge()
+                now = self._rig.clock.now()
+                self._rig.ledger.note("unplannable", now, center=thing.center, reason=str(error))
+                continue
+            self._charge()
+            target = self._book.choose(thing, self._rig.clock.now())
+            target.plan = plan
+            self._others = others
+            return target, plan
+        return None
+
+    def _may_be_picked(self, thing: LocatedObject) -> bool:
+        config = self._rig.config
+        return (
+            thing.detection.score >= config.vision.minimum_score
+            and "cut_by_border" not in thing.detection.flags
+            and not self._book.is_given_up(thing)
+            and config.in_work_area(thing.center, self._rig.calibration.T_base_table)
+            and self._stock.bin_for(thing) is not None
+        )
+
+    def _turn(self, thing: LocatedObject, start: Array) -> float:
+        """How far the waist turns to a thing, rad."""
+        x, y, _ = transform(self._rig.calibration.T_base_table, [*thing.center, 0.0])
+        return abs(math.atan2(y, x) - float(start[0]))
+
+    def _apart_from(self, thing: LocatedObject) -> tuple[LocatedObject, ...]:
+        return tuple(other for other in self._others if other.detection is not thing.detection)
+
+    def _charge(self) -> None:
+        self._rig.clock.charge(self._rig.config.cycle.planning_budget_s)

@@ -1,0 +1,135 @@
+"""From a frame to the things on the table; the next look is worked out while the arm still places.
+
+Looking ahead is one future: begun when the arm stands over a bin and the camera sees past it, consumed by the next
+look. What the picture shows can have changed since by other hands only, and for that there is the pick proof.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.cycle.guard import Guard
+from controller.cycle.rig import Rig
+from controller.cycle.view import region_mask
+from controller.domain import Frame, LocatedObject
+from controller.errors import CameraError
+from controller.localization.locate import Located, locate
+from controller.vision.detect import Detected, detect
+
+
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """A look under way: its frame, what becomes of it, and when it was begun (s of the cell's clock)."""
+
+    frame: Frame
+    detected: Future[Detected]
+    began: float
+
+
+class Looker:
+    """Looks at the table of a rig; `close` ends its thread.
+
+    Args:
+        rig: The cell.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._plane = rig.calibration.plane(_typical_half_height(rig))
+        self._region: NDArray[np.uint8] | None = None
+        self._guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="look-ahead")
+        self._ahead: _Ahead | None = None
+
+    def close(self) -> None:
+        """End the thread; nothing is looked at afterwards."""
+        self.forget()
+        self._worker.shutdown()
+
+    def look_ahead(self, since: float) -> None:
+        """Take the newest frame begun after `since` (s of the cell's clock), and begin to work it out.
+
+        A camera that fails is no concern of the part that is being placed: the next look will meet it.
+        """
+        self.forget()
+        with suppress(CameraError):
+            frame = self._rig.camera.capture(since, self._rig.config.camera.frame_timeout_s)
+            began = self._rig.clock.now()
+            self._ahead = _Ahead(frame, self._worker.submit(self._detect, frame), began)
+
+    def forget(self) -> None:
+        """What was begun ahead is not wanted: something has happened since."""
+        if self._ahead is not None:
+            self._ahead.detected.cancel()
+            self._ahead = None
+
+    @property
+    def is_ahead(self) -> bool:
+        """The next look is under way already."""
+        return self._ahead is not None
+
+    def capture(self, after: float) -> Frame:
+        """The frame of the next look: the one taken ahead, else a new one begun after `after`.
+
+        Raises:
+            CameraError: See `Camera.capture`.
+        """
+        if self._ahead is not None:
+            return self._ahead.frame
+        return self._rig.camera.capture(after, self._rig.config.camera.frame_timeout_s)
+
+    def detect(self, frame: Frame) -> Detected:
+        """What vision finds in the frame of this look; charges what of its budget was not yet spent.
+
+        Raises:
+            Intruder: Something reaches over the table.
+        """
+        clock, budget = self._rig.clock, self._rig.config.cycle.vision_budget_s
+        ahead, self._ahead = self._ahead, None
+        if ahead is None:
+            detected = self._detect(frame)
+            clock.charge(budget)
+        else:
+            detected = ahead.detected.result()
+            clock.charge(max(ahead.began + budget - clock.now(), 0.0))
+            for observer in self._rig.observers:
+                observer.worked_ahead(ahead.began, ahead.began + budget)
+        self._guard.check_frame(frame)
+        return detected
+
+    def locate(self, detected: Detected) -> tuple[Located, list[LocatedObject]]:
+        """Where the detections of a look are, and those of them that are no dirt.
+
+        Raises:
+            Intruder: One is larger than any part.
+        """
+        config = self._rig.config
+        found = locate(detected.detections, self._rig.calibration, config.part_height)
+        self._guard.check_things(found)
+        return found, [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
+
+    def check(self, frame: Frame) -> None:
+        """Look for nothing but what should not be there.
+
+        Raises:
+            Intruder: A hand, or something larger than any part, is over the table.
+        """
+        self._guard.check_frame(frame)
+        self.locate(self._detect(frame))
+
+    def _detect(self, frame: Frame) -> Detected:
+        if self._region is None or self._region.shape != frame.image.shape[:2]:
+            self._region = region_mask(self._rig.config, self._rig.calibration, frame.size)
+        return detect(
+            frame, self._rig.recipe, plane=self._plane, region=self._region, classes=self._rig.classes
+        )
+
+
+def _typical_half_height(rig: Rig) -> float:
+    heights = [part.height_mm for part in rig.config.parts] or [rig.config.default_part.height_mm]
+    return float(np.mean(heights)) / 2.0

@@ -1,0 +1,151 @@
+"""What the arm is told to do: moves that end early when somebody asks for a stop, jaws that must let go, rest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.cycle import proof
+from controller.cycle.holding import RELEASES
+from controller.cycle.rig import Rig
+from controller.domain import Grasp, GripReport, MoveReport, Trajectory
+from controller.errors import PartHeld
+from controller.motion.planner import Planner
+
+_FALL_MM = 8.0
+"""The planner lets a part fall this far: what lies below the jaws when they have opened is that much lower."""
+
+_CLEAR_STEP = 0.05
+"""s between the poses of a move at which the view is judged."""
+
+
+class Interrupted(Exception):
+    """A move was ended by a stop request."""
+
+
+class Motions:
+    """Moves the arm of a rig, and knows where it has come to stand.
+
+    Attributes:
+        planner: Plans the moves; a slow one while that is better.
+        last: When the last motion ended, s of the cell's clock.
+        positions: ndarray of shape (J,): where the joints stood then, rad.
+        retreat: The way out of the bin over which the last part was let go, not yet carried out; or None.
+
+    Args:
+        rig: The cell.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self.planner: Planner = rig.planner
+        self._view: NDArray[np.float64] = np.empty((0, 2))
+        self._energised = False
+        self._placed_height = 0.0
+        self.last = 0.0
+        self.positions: NDArray[np.float64] = np.array(rig.arm.description.ready)
+        self.retreat: Trajectory | None = None
+
+    def adopt(self, rig: Rig, view: NDArray[np.float64]) -> None:
+        """Take over a rig with the same arm.
+
+        Args:
+            rig: The rig.
+            view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
+        """
+        self._rig, self._view, self.planner = rig, view, rig.planner
+
+    def start(self) -> None:
+        """Torque on where the arm stands."""
+        self._rig.arm.energise()
+        self._energised = True
+
+    def home(self) -> None:
+        """To the ready pose, out of the camera's sight."""
+        self.follow(self.planner.home(self._rig.arm.state().positions))
+
+    def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
+        """Carry out a move; see `Arm.follow`.
+
+        Raises:
+            Interrupted: It was ended early by a stop.
+        """
+        report = self._rig.arm.follow(trajectory, opening, after)
+        self.positions = report.state.positions
+        self._moved(report.finished)
+        return report
+
+    def grip(self, opening: float) -> GripReport:
+        """Move the jaws; see `Arm.grip`.
+
+        Raises:
+            Interrupted: It was ended early by a stop.
+        """
+        report = self._rig.arm.grip(opening)
+        self._moved(report.finished)
+        return report
+
+    def let_go(self, grasp: Grasp) -> None:
+        """Open the jaws, and again if they keep what is between them.
+
+        Raises:
+            PartHeld: They still do.
+        """
+        for _ in range(RELEASES):
+            kept = proof.kept(self.grip(grasp.opening), grasp)
+            if kept is None:
+                return
+        arm = self._rig.arm.description.name
+        raise PartHeld(arm, "let go", kept or "", "take the part out of the jaws, then controller resume")
+
+    def released(self, retreat: Trajectory, height: float) -> None:
+        """A part of this height was let go; the way out is due."""
+        self.retreat, self._placed_height = retreat, height
+
+    def step_back(self) -> None:
+        """Carry out the retreat that is due since the last part was let go, if it is."""
+        if self.retreat is not None:
+            retreat, self.retreat = self.retreat, None
+            self.follow(retreat)
+
+    @property
+    def climb(self) -> float:
+        """How far the arm must go straight up before it may turn or open its jaws further, mm: out of the bin that
+        it stands in, past the part it has just let go.
+        """
+        return 0.0 if self.retreat is None else self._placed_height + _FALL_MM
+
+    def view_is_clear(self) -> bool:
+        """Whether the camera sees the work area past the arm as it stands."""
+        return self.planner.leaves_view_clear(self._rig.arm.state().positions, self._view)
+
+    def clear_from(self, move: Trajectory) -> float | None:
+        """Since when the camera has seen the work area past the arm, s of the cell's clock.
+
+        Args:
+            move: The move that has just ended.
+
+        Returns:
+            None when the arm still stands in the view.
+        """
+        planner, offsets = self.planner, move.positions[-1] - self.positions
+        step = max(round(_CLEAR_STEP / move.period), 1)
+        since = None
+        for index in range(len(move.positions) - 1, -1, -step):
+            if not planner.leaves_view_clear(move.positions[index] - offsets, self._view):
+                break
+            since = self.last - (len(move.positions) - 1 - index) * move.period
+        return since
+
+    def park(self) -> None:
+        """Bring the arm to rest and let go of the torque; leaves an arm alone that was never energised."""
+        if not self._energised:
+            return
+        self._rig.arm.clear_stop()
+        if self._rig.arm.follow(self.planner.park(self._rig.arm.state().positions)).finished:
+            self._rig.arm.relax()
+
+    def _moved(self, finished: bool) -> None:
+        self.last = self._rig.clock.now()
+        if not finished:
+            raise Interrupted
