@@ -1,27 +1,25 @@
-"""The recipe `precise`: propose regions, find edges, fit shapes, refine the plausible ones, judge."""
+"""The recipe `precise`: a quick tier decides what is clear, a thorough one the rest, and all of it is judged."""
 
 from __future__ import annotations
 
 from collections.abc import MutableMapping
-from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.geometry import PlaneMap
-from controller.vision.background import Box, Whitened, whiten
-from controller.vision.fitting import Hypothesis, fit_all
-from controller.vision.local_map import LocalMaps, joined, local_maps
+from controller.vision.background import Box, whiten
+from controller.vision.clear import clear_objects
+from controller.vision.local_map import local_maps
 from controller.vision.noise import pixel_noise, without_spikes
-from controller.vision.proposals import Region, propose, split_necks
-from controller.vision.rays import find_edges, radial_profile
+from controller.vision.proposals import Region, level_strength, propose
 from controller.vision.recipe import Precise
-from controller.vision.scene import Found, Scene
+from controller.vision.scene import Found, Judged, Scene
+from controller.vision.thorough import open_objects
 from controller.vision.timing import Stopwatch
-from controller.vision.verdict import explained, judge, refined_outlines, settled
-
-Floats = NDArray[np.float64]
+from controller.vision.trial import settled
+from controller.vision.verdict import judge
 
 
 def search(
@@ -46,68 +44,24 @@ def search(
     white = whiten(small, empty, box)
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
-    regions, strengths = propose(white, settings.level, smallest, box)
-    if trace is not None:
-        for name, strength in strengths.items():
-            trace[name] = np.clip(4.0 * strength, 0.0, 255.0).astype(np.uint8)
-    if mask is not None:
-        regions = _within(regions, np.asarray(mask))
-    sides = plane is not None and plane.height > 0.0
-    regions = _distinct(regions, small.shape, 0.02 if sides else 0.06)
-    watch.lap("propose")
+    strength = level_strength(white)
     noise = pixel_noise(image)
     image = without_spikes(image, noise)
-    # First what stands out clearly; the costlier guesses only where that left something open.
-    clear = [(item.core and (sides or item.cue == "level")) or (sides and item.cue == "zone") for item in regions]
-    first = [item for item, use in zip(regions, clear, strict=True) if use]
-    later = [item for item, use in zip(regions, clear, strict=True) if not use]
-    first, maps, fits = _fits(first, white, factor, plane, watch)
-    scene = Scene(image, noise, white, factor, maps, first, plane, settings)
-    judged = refined_outlines(scene, fits)
-    watch.lap("refine")
-    done = settled(judged)
-    open_ = [item for item in first if item.cue != "zone" and not explained(item, done, factor)]
-    rest = [item for item in later if not explained(item, done, factor)]
-    pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
-    pieces = _distinct([*rest, *pieces], small.shape, 0.02 if sides else 0.06)
-    pieces = [item for item in pieces if not explained(item, done, factor)]
-    second, more, fits = _fits(pieces, white, factor, plane, watch)
-    fits = [[replace(h, region=h.region + len(first)) for h in options] for options in fits]
-    scene = replace(scene, maps=joined(maps, more), regions=[*first, *second])
-    judged += refined_outlines(scene, fits)
-    watch.lap("refine")
-    return judge(scene, judged, watch)
-
-
-def _fits(
-    regions: list[Region], white: Whitened, factor: int, plane: PlaneMap | None, watch: Stopwatch
-) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
-    """The regions that can be measured, their local coordinates, and the fits around each."""
-    if regions:
-        centers = np.array([_center(item.contour) for item in regions])
-        radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
-        usable = np.asarray(np.isfinite(radii).all(axis=1))
-        if plane is not None:
-            # Beyond the horizon of the plane there is nothing to measure.
-            usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
-        regions = [item for item, use in zip(regions, usable, strict=True) if use]
-        centers, radii = centers[usable], radii[usable]
-    if not regions:
-        return [], local_maps(np.empty((0, 2)), np.empty(0), plane), []
-    edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
-    watch.lap("rays")
-    full = centers * factor + (factor - 1) / 2.0
-    maps = local_maps(full, (radii.max(axis=1) + 6.0) * factor * 1.3, plane)
-    count, rays, choices = weight.shape
-    flat = edges.reshape(count, rays * choices, 2) * factor + (factor - 1) / 2.0
-    local = maps.all_to_local(flat).reshape(count, rays, choices, 2)
-    hulls = [
-        maps.to_local(i, cv2.convexHull(item.contour)[:, 0].astype(np.float64) * factor + (factor - 1) / 2.0)
-        for i, item in enumerate(regions)
-    ]
-    fits = fit_all(hulls, local, weight, factor)
-    watch.lap("fit")
-    return regions, maps, fits
+    scene = Scene(image, noise, white, factor, local_maps(np.empty((0, 2)), np.empty(0), plane), [], plane, settings)
+    watch.lap("noise")
+    clear: list[Judged] = []
+    if not scene.sides:
+        scene, clear = clear_objects(scene, strength, settings.level, smallest)
+        watch.lap("clear")
+    regions, maps = propose(white, strength, settings.level, smallest, settled(clear, factor).explains, box)
+    if trace is not None:
+        for name, values in maps.items():
+            trace[name] = np.clip(4.0 * values, 0.0, 255.0).astype(np.uint8)
+    if mask is not None:
+        regions = _within(regions, np.asarray(mask))
+    watch.lap("propose")
+    scene, rest = open_objects(scene, regions, clear, smallest, watch)
+    return judge(scene, [*clear, *rest], watch)
 
 
 def reduction(shape: tuple[int, ...]) -> int:
@@ -133,13 +87,6 @@ def _box(mask: NDArray[np.uint8]) -> Box | None:
     return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
 
 
-def _center(contour: NDArray[np.float32]) -> Floats:
-    m = cv2.moments(cv2.convexHull(contour))
-    if m["m00"] < 1e-6:
-        return np.asarray(contour.mean(axis=0), np.float64)
-    return np.array([m["m10"] / m["m00"], m["m01"] / m["m00"]])
-
-
 def _within(regions: list[Region], mask: NDArray[np.uint8]) -> list[Region]:
     """Regions whose bounding box has its middle in the mask."""
     out = []
@@ -149,24 +96,3 @@ def _within(regions: list[Region], mask: NDArray[np.uint8]) -> list[Region]:
         if mask[row, column]:
             out.append(item)
     return out
-
-
-def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> list[Region]:
-    """Regions without near copies of one another, and without those that fill most of the frame.
-
-    Copies are regions whose boxes differ by less than half a pixel and a share of their size.
-    """
-    kept: list[Region] = []
-    seen = np.empty((len(regions), 4))
-    limit = 0.8 * shape[0] * shape[1]
-    for item in regions:
-        x, y, w, h = cv2.boundingRect(item.contour)
-        if w * h > limit:
-            continue
-        box = np.array([x, y, x + w, y + h], float)
-        tolerance = share * max(w, h) + 0.5
-        if kept and bool((np.abs(seen[: len(kept)] - box).max(axis=1) < tolerance).any()):
-            continue
-        seen[len(kept)] = box
-        kept.append(item)
-    return kept

@@ -6,6 +6,7 @@ soft one no edges), so that their regions are all proposed and the fit decides b
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,8 @@ from controller.vision.background import Box, Whitened
 
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
+Known = Callable[[Sequence[int]], bool]
+"""Whether what fills a rectangle (x, y, width, height) is known already."""
 
 
 _ZONE = 3.0
@@ -44,30 +47,40 @@ class Region:
     core: bool = False
 
 
+def level_strength(white: Whitened) -> Floats32:
+    """How far each pixel is from the table, in standard deviations, (H, W)."""
+    squared = cv2.multiply(white.difference, white.difference)
+    return np.asarray(cv2.sqrt(cv2.transform(squared, np.ones((1, 3), np.float32))), np.float32)
+
+
 def propose(
-    white: Whitened, level: float, smallest: float, box: Box | None = None
-) -> tuple[list[Region], dict[str, NDArray[np.float32]]]:
+    white: Whitened, strength: Floats32, level: float, smallest: float, known: Known, box: Box | None = None
+) -> tuple[list[Region], dict[str, Floats32]]:
     """Regions worth a closer look, and the strength maps they came from.
 
     Args:
         white: The whitened frame.
+        strength: Its `level_strength`.
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
+        known: Whether what fills a rectangle (x, y, width, height) is an object that is known already.
         box: Rows and columns to look at; the maps are of this part only.
     """
     if box is not None:
-        regions, maps = propose(replace(white, difference=white.difference[box]), level, smallest)
-        corner = np.array([box[1].start, box[0].start], np.float32)
+        left, top = box[1].start, box[0].start
+        part = replace(white, difference=white.difference[box])
+        regions, maps = propose(
+            part, strength[box], level, smallest, lambda r: known((r[0] + left, r[1] + top, r[2], r[3]))
+        )
+        corner = np.array([left, top], np.float32)
         return [replace(item, contour=item.contour + corner) for item in regions], maps
-    squared = cv2.multiply(white.difference, white.difference)
-    strength = np.asarray(cv2.sqrt(cv2.transform(squared, np.ones((1, 3), np.float32))), np.float32)
     chroma = _chroma(white)
     edges = _edge_energy(white.difference)
     regions = []
     for cue, image in (("level", strength), ("chroma", chroma)):
-        regions += _components(image, level, smallest, cue)
-    regions += _edge_regions(edges, smallest)
-    regions += _zones(edges, smallest)
+        regions += _components(image, level, smallest, cue, known)
+    regions += _edge_regions(edges, smallest, known)
+    regions += _zones(edges, smallest, known)
     return regions, {"strength": strength, "chroma": chroma, "edges": edges}
 
 
@@ -93,12 +106,12 @@ def _edge_energy(difference: Floats32) -> Floats32:
     return np.asarray(cv2.transform(magnitude, np.ones((1, 3), np.float32)), np.float32)
 
 
-def _components(image: Floats32, level: float, smallest: float, cue: str) -> list[Region]:
+def _components(image: Floats32, level: float, smallest: float, cue: str, known: Known) -> list[Region]:
     """Regions above `level`, and within each the one above half of its own strength."""
-    mask = (image > level).astype(np.uint8)
-    count, labels = cv2.connectedComponents(mask, connectivity=4, ltype=cv2.CV_16U)
-    if count <= 1:
+    mask = _unknown(np.asarray(cv2.threshold(image, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8), known)
+    if mask is None:
         return []
+    count, labels = cv2.connectedComponents(mask, connectivity=4, ltype=cv2.CV_16U)
     flat = labels.ravel()
     inside = np.flatnonzero(flat)
     values = image.ravel()[inside]
@@ -112,20 +125,20 @@ def _components(image: Floats32, level: float, smallest: float, cue: str) -> lis
     return _contours(core, smallest, cue, core=True) + _contours(mask, smallest, cue)
 
 
-def _edge_regions(edges: Floats32, smallest: float) -> list[Region]:
+def _edge_regions(edges: Floats32, smallest: float, known: Known) -> list[Region]:
     """Hulls of connected strong edges."""
     typical = float(np.median(edges[::3, ::3]))
     mask = (edges > 3.5 * typical).astype(np.uint8)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     found = []
-    for region in _contours(mask, smallest, "edge"):
+    for region in _contours(mask, smallest, "edge", known=known):
         hull = np.asarray(cv2.convexHull(region.contour)[:, 0], np.float32)
         area = float(cv2.contourArea(hull))
         found.append(Region(hull, area, "edge", 1.0))
     return found
 
 
-def _zones(edges: Floats32, smallest: float) -> list[Region]:
+def _zones(edges: Floats32, smallest: float, known: Known) -> list[Region]:
     """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
     typical = float(np.median(edges[::3, ::3]))
     flat = (edges < _ZONE * typical).astype(np.uint8)
@@ -133,7 +146,7 @@ def _zones(edges: Floats32, smallest: float) -> list[Region]:
     out = []
     for index, contour in enumerate(contours):
         # Its fourth entry is the parent: holes have one, outer boundaries none.
-        if len(contour) < 8 or hierarchy[0, index, 3] >= 0:
+        if len(contour) < 8 or hierarchy[0, index, 3] >= 0 or known(cv2.boundingRect(contour)):
             continue
         area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
         if area < 0.25 * smallest or area > 0.3 * edges.size:
@@ -160,11 +173,25 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     return np.asarray(hull + by * both / length, np.float32)
 
 
-def _contours(mask: Mask, smallest: float, cue: str, core: bool = False) -> list[Region]:
+def _nothing(rectangle: Sequence[int]) -> bool:
+    """Knows no objects."""
+    return False
+
+
+def _unknown(mask: Mask, known: Known) -> Mask | None:
+    """The components of a mask that are not known; None when there are none."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    kept = [contour for contour in contours if not known(cv2.boundingRect(contour))]
+    if not kept or len(kept) == len(contours):
+        return mask if kept else None
+    return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (1,), cv2.FILLED), np.uint8)
+
+
+def _contours(mask: Mask, smallest: float, cue: str, core: bool = False, known: Known = _nothing) -> list[Region]:
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
     for contour in contours:
-        if len(contour) < 8:
+        if len(contour) < 8 or known(cv2.boundingRect(contour)):
             continue
         points = contour[:, 0].astype(np.float32)
         # The polygon through pixel centres misses half a pixel all around.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -73,6 +73,10 @@ class Scene:
     def sides(self) -> bool:
         """Whether side faces may show: shapes are decided on a plane above the table."""
         return self.plane is not None and self.plane.height > 0.0
+
+    def with_regions(self, regions: Sequence[Region], maps: LocalMaps) -> Scene:
+        """The same frame with other regions and their local coordinates."""
+        return replace(self, regions=regions, maps=maps)
 
     def strengths(self, outline: Floats, *shares: float) -> Floats:
         """Whitened difference from the table (N, 3) at an outline's points shrunk to each share about its middle."""

@@ -1,0 +1,199 @@
+"""The second tier: competing guesses for what is faint, shadowed, touching, seen from the side or hidden in part.
+
+Every cue proposes regions; edges are looked for along rays from within them, every family is fitted to those, and
+the plausible fits are refined on the pixels. Regions that remain open are cut at their necks and tried again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.geometry import PlaneMap
+from controller.vision.background import Whitened
+from controller.vision.fitting import Hypothesis, fit_all
+from controller.vision.local_map import LocalMaps, joined, local_maps
+from controller.vision.proposals import Region, split_necks
+from controller.vision.rays import find_edges, radial_profile
+from controller.vision.scene import Judged, Scene
+from controller.vision.shapes import CIRCLE
+from controller.vision.silhouette import feet
+from controller.vision.timing import Stopwatch
+from controller.vision.trial import Settled, settled, tried, typical_blur
+
+Floats = NDArray[np.float64]
+
+
+def open_objects(
+    scene: Scene, regions: list[Region], clear: list[Judged], smallest: float, watch: Stopwatch
+) -> tuple[Scene, list[Judged]]:
+    """Outlines of what the first tier left open.
+
+    Args:
+        scene: The frame, with the regions of the first tier.
+        regions: Where further objects may be.
+        clear: What the first tier found.
+        smallest: Smallest area, px of the searched image.
+        watch: Books the stages.
+
+    Returns:
+        The scene with all regions, and the outlines.
+    """
+    shape, factor = scene.white.difference.shape, scene.factor
+    share = 0.02 if scene.sides else 0.06
+    regions = _distinct(regions, shape, share)
+    # First what stands out clearly; the costlier guesses only where that left something open.
+    plain = [
+        (item.core and (scene.sides or item.cue == "level")) or (scene.sides and item.cue == "zone")
+        for item in regions
+    ]
+    first = [item for item, use in zip(regions, plain, strict=True) if use]
+    later = [item for item, use in zip(regions, plain, strict=True) if not use]
+    blur = typical_blur(clear, 1.0)
+    scene, first, judged = _round(scene, first, blur, watch)
+    done = settled([*clear, *judged], factor)
+    open_ = [item for item in first if item.cue != "zone" and not _explained(item, done)]
+    rest = [item for item in later if not _explained(item, done)]
+    pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
+    pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not _explained(item, done)]
+    scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), watch)
+    return scene, [*judged, *more]
+
+
+def _round(
+    scene: Scene, regions: list[Region], blur: float, watch: Stopwatch
+) -> tuple[Scene, list[Region], list[Judged]]:
+    """Regions fitted and refined; returns the scene with those that could be measured, these, and their outlines."""
+    if not regions:
+        return scene, [], []
+    regions, maps, fits = _fits(regions, scene.white, scene.factor, scene.plane, watch)
+    before = len(scene.regions)
+    fits = [[replace(h, region=h.region + before) for h in options] for options in fits]
+    scene = scene.with_regions([*scene.regions, *regions], joined(scene.maps, maps))
+    judged = _refined(scene, fits, blur)
+    watch.lap("refine")
+    return scene, regions, judged
+
+
+def _explained(region: Region, done: Settled) -> bool:
+    """Whether a region is covered by a settled outline and not much larger than it."""
+    return done.explains(cv2.boundingRect(region.contour))
+
+
+def _fits(
+    regions: list[Region], white: Whitened, factor: int, plane: PlaneMap | None, watch: Stopwatch
+) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
+    """The regions that can be measured, their local coordinates, and the fits around each."""
+    if regions:
+        centers = np.array([_center(item.contour) for item in regions])
+        radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+        usable = np.asarray(np.isfinite(radii).all(axis=1))
+        if plane is not None:
+            # Beyond the horizon of the plane there is nothing to measure.
+            usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
+        regions = [item for item, use in zip(regions, usable, strict=True) if use]
+        centers, radii = centers[usable], radii[usable]
+    if not regions:
+        return [], local_maps(np.empty((0, 2)), np.empty(0), plane), []
+    edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
+    watch.lap("rays")
+    full = centers * factor + (factor - 1) / 2.0
+    maps = local_maps(full, (radii.max(axis=1) + 6.0) * factor * 1.3, plane)
+    count, rays, choices = weight.shape
+    flat = edges.reshape(count, rays * choices, 2) * factor + (factor - 1) / 2.0
+    local = maps.all_to_local(flat).reshape(count, rays, choices, 2)
+    hulls = [
+        maps.to_local(i, cv2.convexHull(item.contour)[:, 0].astype(np.float64) * factor + (factor - 1) / 2.0)
+        for i, item in enumerate(regions)
+    ]
+    fits = fit_all(hulls, local, weight, factor)
+    watch.lap("fit")
+    return regions, maps, fits
+
+
+def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Judged]:
+    """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
+    maps = scene.maps
+    judged: list[Judged] = []
+    # Centre, size and family of what was tried already.
+    known = np.empty((2 * len(fits), 4))
+    count = 0
+    for rank in (0, 1):
+        wanted = []
+        done = {j.hypothesis.region for j in judged if j.badness < 0.7}
+        if rank and not scene.sides:
+            clear = settled(judged, scene.factor)
+            done |= {i for i, item in enumerate(scene.regions) if _explained(item, clear)}
+        for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
+            h = options[rank]
+            if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
+                continue
+            row = np.array([*(maps.centers[h.region] + h.q[:2]), h.size, h.family.parameters])
+            if _same(row, known[:count]):
+                continue
+            known[count] = row
+            count += 1
+            wanted.append(h)
+        judged += tried(scene, wanted, blur)
+        blur = typical_blur(judged, blur)
+    if scene.sides:
+        good_ones = [j for j in judged if j.badness < 1.0]
+        assert scene.plane is not None
+        below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
+        tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]
+        judged += tried(scene, tops, blur)
+    return judged
+
+
+def _top_within(scene: Scene, item: Judged, below: Floats) -> Hypothesis:
+    """Where the top face would be if an outline with that foot were the silhouette of a part with visible sides."""
+    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q.copy()
+    inwards = (scene.maps.to_local(k, below) - scene.maps.to_local(k, item.outline)).mean(axis=0)
+    q[:2] -= 0.5 * inwards
+    if family is CIRCLE:
+        q[2] -= 0.25 * float(np.linalg.norm(inwards))
+    else:
+        turns = q[2 + family.sizes :][family.turn_of] + family.normals
+        facing = np.abs(np.cos(turns) * inwards[0] + np.sin(turns) * inwards[1])
+        for size in range(family.sizes):
+            q[2 + size] -= 0.5 * float(facing[family.size_of == size].mean())
+    q[2 : 2 + family.sizes] = np.maximum(q[2 : 2 + family.sizes], 2.0)
+    return Hypothesis(k, family, q, item.hypothesis.cost, item.hypothesis.inliers, item.hypothesis.size)
+
+
+def _same(row: Floats, others: Floats) -> bool:
+    """Whether one of the others (N, 4), each a centre, a size and its family's parameters, is the same outline."""
+    x, y, size, family = others.T
+    near = np.abs(row[0] - x) + np.abs(row[1] - y) < 0.03 * row[2] + 0.5
+    return bool((near & (family == row[3]) & (np.abs(row[2] / size - 1.0) <= 0.03)).any())
+
+
+def _center(contour: NDArray[np.float32]) -> Floats:
+    m = cv2.moments(cv2.convexHull(contour))
+    if m["m00"] < 1e-6:
+        return np.asarray(contour.mean(axis=0), np.float64)
+    return np.array([m["m10"] / m["m00"], m["m01"] / m["m00"]])
+
+
+def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> list[Region]:
+    """Regions without near copies of one another, and without those that fill most of the frame.
+
+    Copies are regions whose boxes differ by less than half a pixel and a share of their size.
+    """
+    kept: list[Region] = []
+    seen = np.empty((len(regions), 4))
+    limit = 0.8 * shape[0] * shape[1]
+    for item in regions:
+        x, y, w, h = cv2.boundingRect(item.contour)
+        if w * h > limit:
+            continue
+        box = np.array([x, y, x + w, y + h], float)
+        tolerance = share * max(w, h) + 0.5
+        if kept and bool((np.abs(seen[: len(kept)] - box).max(axis=1) < tolerance).any()):
+            continue
+        seen[len(kept)] = box
+        kept.append(item)
+    return kept
