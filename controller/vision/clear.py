@@ -35,6 +35,10 @@ _CONVEX = 0.93
 """Area over the hull's, above which a region may be one convex object."""
 _COMPLETE = 0.95
 """Share of the points where the outline must be found."""
+_ON_OUTLINE = 0.9
+"""Share of the points that must lie on the best family's outline."""
+_GROWN, _GROWN_SHARE = 0.6, 0.01
+"""How much the root of the area may change, px of the searched image and share: its blur rounds corners off."""
 _DOUBT = 1.5
 """The second best family is tried as well when its cost is within this ratio, ..."""
 _DOUBT_COST = 0.03
@@ -72,10 +76,16 @@ def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: floa
     fits = fit_all(list(local), local[:, :, None], found[..., None].astype(np.float64), scene.factor)
     wanted: list[Hypothesis] = []
     for options in fits:
-        best = options[0].cost if options else math.inf
-        wanted += [h for h in options if h.cost <= max(_DOUBT * best, best + _DOUBT_COST)]
-    judged = [item for item in tried(scene, wanted, 1.0) if whole(item)]
-    return scene, judged
+        if options and options[0].inliers > _ON_OUTLINE:
+            best = options[0].cost
+            wanted += [h for h in options if h.cost <= max(_DOUBT * best, best + _DOUBT_COST)]
+    return scene, [item for item in tried(scene, wanted, 1.0) if whole(item) and _stayed(item, scene.factor)]
+
+
+def _stayed(item: Judged, factor: int) -> bool:
+    """Whether the pixels leave an outline about as large as its line of half strength."""
+    size = item.hypothesis.size
+    return abs(math.sqrt(item.area) - size) < _GROWN * factor + _GROWN_SHARE * size
 
 
 def _alone(strength: Floats32, level: float, smallest: float) -> list[Region]:
