@@ -116,6 +116,17 @@ class LedgerReader:
             found["targets"] = int(targets.fetchone()[0])
         return found
 
+    @property
+    def may_hold_part(self) -> bool:
+        """Nobody knows what became of the last target, and nobody has reset the cell since: it may be in the jaws."""
+        with as_ledger_error(self.path, "read"):
+            row = self._connection.execute(
+                "SELECT result IN ('indeterminate', 'aborted') AND NOT EXISTS (SELECT 1 FROM events e"
+                " WHERE e.kind = 'operator' AND json_extract(e.details, '$.command') = 'reset' AND e.wall > o.wall)"
+                " FROM outcomes o ORDER BY outcome_id DESC LIMIT 1"
+            ).fetchone()
+        return row is not None and bool(row[0])
+
     def in_bins(self) -> dict[str, int]:
         """Parts put into each bin, by name, since an event `emptied` named it (or, without a `bin`, all of them)."""
         with as_ledger_error(self.path, "read"):

@@ -113,7 +113,7 @@ class StandingCell:
         try:
             with service.open_to_operators(operation, self._standing.chronicle.commanded):
                 tell_what_was_found(ledger, operation.alarm_log)
-                operation.ready(fault=self._missing or _safe_mode(ledger), may_hold_part=bool(ledger.indeterminate))
+                operation.ready(fault=self._missing or _safe_mode(ledger), may_hold_part=ledger.may_hold_part)
                 service.notifier.ready(operation.line)
                 if start and self._missing is None:
                     operation.start()
