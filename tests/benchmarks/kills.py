@@ -85,14 +85,16 @@ class Prepared:
     holding: Any = field(default_factory=lambda: _FORK.Value("b", 0))
 
     @classmethod
-    def make(cls, folder: Path) -> Prepared:
-        """Calibrate a cell and open its devices."""
-        look_at_cell(SEED, PARTS, "dynamic", folder)
+    def make(cls, folder: Path, calibration: Path | None = None) -> Prepared:
+        """Open a cell's devices; calibrate it into the folder, unless its calibration is given."""
+        if calibration is None:
+            look_at_cell(SEED, PARTS, "dynamic", folder)
+            calibration = folder / "calibration"
         config = load_cell(shipped("sim.toml"))
         options = BackendOptions(folder, parts=PARTS, seed=SEED, level=Level.DYNAMIC)
         devices = DEVICES[Mode.SIM](config, load_arm(config.arm.description), options)
         devices.presenter = None
-        made = cls(config, folder / "calibration", devices)
+        made = cls(config, calibration, devices)
         world = cast(Any, devices.truth).cell.world
 
         def feel(dt: float) -> None:
@@ -223,9 +225,9 @@ def _judge(said: list[tuple[str, str, int]], held: bool, status: Mapping[str, An
     return Verdict(len(said) - 1, len(settled), held, bool(status.get("may_hold_part")), tuple(complaints))
 
 
-def run(count: int, seed: int, root: Path) -> list[Verdict]:
-    """So many kills at random moments."""
-    prepared = Prepared.make(root)
+def run(count: int, seed: int, root: Path, calibration: Path | None = None) -> list[Verdict]:
+    """So many kills at random moments; see `Prepared.make` for the calibration."""
+    prepared = Prepared.make(root, calibration)
     random_ = random.Random(seed)
     try:
         return [
