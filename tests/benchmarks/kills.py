@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import mmap
 import multiprocessing
 import os
 import random
@@ -27,6 +28,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import patch
 
 import cv2
 
@@ -82,7 +84,7 @@ class Prepared:
     config: CellConfig
     calibration: Path
     devices: Devices
-    holding: Any = field(default_factory=lambda: _FORK.Value("b", 0))
+    holding: mmap.mmap = field(default_factory=lambda: mmap.mmap(-1, 1))
 
     @classmethod
     def make(cls, folder: Path, calibration: Path | None = None) -> Prepared:
@@ -98,7 +100,7 @@ class Prepared:
         world = cast(Any, devices.truth).cell.world
 
         def feel(dt: float) -> None:
-            made.holding.value = bool(world.held)
+            made.holding[0] = bool(world.held)
 
         assert devices.on_step is not None
         devices.on_step(feel)
@@ -136,7 +138,7 @@ def _serve(prepared: Prepared, state: Path, line: Connection | None) -> None:
     def devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
         return prepared.devices
 
-    session_module.DEVICES = {Mode.REAL: devices}
+    patch.object(session_module, "DEVICES", {Mode.REAL: devices}).start()
     watch: Callable[[Devices], tuple[Observer, ...]] = _Told(line).watch if line is not None else lambda devices: ()
     options = RunOptions(
         Mode.REAL,
@@ -154,7 +156,7 @@ def kill_one(prepared: Prepared, after: float, state: Path) -> Verdict:
     """Let a service sort, kill it `after` s of processor time, start the next one in its state folder and ask it."""
     said: list[tuple[str, str, int]] = []
     ours, theirs = _FORK.Pipe(duplex=False)
-    prepared.holding.value = 0
+    prepared.holding[0] = 0
     process = _FORK.Process(target=_serve, args=(prepared, state, theirs))
     process.start()
     theirs.close()
@@ -173,7 +175,7 @@ def kill_one(prepared: Prepared, after: float, state: Path) -> Verdict:
         while ours.poll(0.0):
             said.append(ours.recv())
     ours.close()
-    held = bool(prepared.holding.value)
+    held = bool(prepared.holding[0])
     return _judge(said, held, _next_start(prepared, state), state)
 
 
