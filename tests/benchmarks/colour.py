@@ -17,7 +17,7 @@ import math
 import tempfile
 from collections import Counter
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import cv2
 import numpy as np
@@ -25,8 +25,8 @@ import numpy as np
 from controller.domain import Frame
 from controller.errors import InputError
 from controller.vision.appearance.colour import measure
-from controller.vision.appearance.patch import cut_out
 from controller.vision.appearance.settings import Appearance
+from controller.vision.appearance.tiles import tiles
 from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
@@ -81,10 +81,9 @@ def lamps(seed: int, settings: Appearance, table: tuple[int, int, int]) -> tuple
         picture, things, names = scene(random, lamp, table)
         frame = Frame(1, 0.0, picture)
         detections = [detection_of(thing, frame) for thing in things]
-        began = perf_counter()
-        patches = [patch for patch in cut_out(picture, detections) if patch is not None]
-        seen = measure(picture, patches, settings)
-        times.append(1e3 * (perf_counter() - began))
+        began = process_time()
+        seen = measure(picture, tiles(picture, detections), settings)
+        times.append(1e3 * (process_time() - began))
         for name, colour in zip(names, seen, strict=True):
             count += 1
             right += colour.name == name
@@ -106,12 +105,12 @@ def real(folder: Path) -> None:
             except InputError:
                 continue
             found = detect(Frame(1, 0.0, picture), recipe).detections
-            patches = [patch for patch in cut_out(picture, found) if patch is not None]
-            seen = measure(picture, patches, Appearance())
+            parts = tiles(picture, found)
+            seen = measure(picture, parts, Appearance())
             right, missed, wrong = 0, 0, Counter[str]()
             for thing in wanted:
                 name = thing["colour"].replace("grey", "gray")
-                near = [math.dist(patch.detection.center_px, thing["centre_px"]) for patch in patches]
+                near = [math.dist(item.center_px, thing["centre_px"]) for item in parts.detections]
                 if not near or min(near) > 0.4 * max(thing["bbox_px"][2:]):
                     missed += 1
                 elif seen[int(np.argmin(near))].name == name:

@@ -15,7 +15,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import cv2
 import numpy as np
@@ -86,12 +86,12 @@ def views(kinds: list[str], each: int, seed: int) -> tuple[Floats32, list[str], 
         blur, noise = float(random.uniform(0.5, 1.0)), float(random.uniform(1, 4))
         picture = surfaces.paint(things, _SIZE, random, light=light, blur=blur, noise=noise)
         found = detect(Frame(1, 0.0, picture), recipe).detections
-        began = perf_counter()
+        began = process_time()
         seen = look(picture, found, Appearance(reference="table"))
         values = features(found, seen, None)
-        times.append(1e3 * (perf_counter() - began))
+        times.append(1e3 * (process_time() - began))
         for thing, kind in zip(things, some, strict=True):
-            near = [math.dist(patch.detection.center_px, (thing.x, thing.y)) for patch in seen.patches]
+            near = [math.dist(item.center_px, (thing.x, thing.y)) for item in seen.tiles.detections]
             if not near or min(near) > 25:
                 lost += 1
                 continue
@@ -104,17 +104,17 @@ def study(taught: int, new: int, seed: int) -> None:
     """Teach and test."""
     known = [*KINDS, "print A", "print B"]
     values, names, lost, _ = views(known, taught, seed)
-    began = perf_counter()
+    began = process_time()
     classifier = Classifier({kind: values[[n == kind for n in names]] for kind in known})
     crossed = classifier.left_out()
-    teach_s = perf_counter() - began
+    teach_s = process_time() - began
     right = sum(a == b for a, b in crossed)
     line = {"taught": len(names), "lost": lost, "left_one_out_right": right, "teaching_s": round(teach_s, 3)}
     print(json.dumps(line))
     values, names, lost, time_ms = views(known, new, seed + 1)
-    began = perf_counter()
+    began = process_time()
     verdicts = classifier.verdicts(values)
-    classify_ms = 1e3 * (perf_counter() - began) / len(values)
+    classify_ms = 1e3 * (process_time() - began) / len(values)
     said = [v.name if v else None for v in verdicts]
     wrong = Counter(f"{a} -> {b}" for a, b in zip(names, said, strict=True) if a != b)
     share = 100.0 * sum(a == b for a, b in zip(names, said, strict=True)) / (len(names) + lost)
@@ -145,7 +145,7 @@ def fasteners(folder: Path) -> None:
             if "side" in thing.get("note", "") or "standing" in thing.get("note", "") or thing.get("cut_by_border"):
                 continue
             kind = FASTENERS[entry["file"].split("_")[0]]
-            near = [math.dist(patch.detection.center_px, thing["centre_px"]) for patch in seen.patches]
+            near = [math.dist(item.center_px, thing["centre_px"]) for item in seen.tiles.detections]
             if not near or min(near) > 0.4 * max(thing["bbox_px"][2:]):
                 print(json.dumps({"not_found": entry["file"]}))
                 continue

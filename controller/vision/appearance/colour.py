@@ -11,17 +11,20 @@ one light may differ in another. A lamp without blue gives no blue back, whateve
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.errors import InputError
+from controller.vision.appearance.hole import counts
 from controller.vision.appearance.oklab import LINEAR, LUMINANCE, Floats32, linear, oklab
-from controller.vision.appearance.palette import name_of
-from controller.vision.appearance.patch import Image, Patch
+from controller.vision.appearance.palette import NAMES, name_of, nearest
 from controller.vision.appearance.settings import Appearance
+from controller.vision.appearance.tiles import SIDE, Tiles
+
+Image = NDArray[np.uint8]
 
 SAMPLES = 144
 """Pixels looked at of each part: their median is good to a tenth of the pixels' own noise."""
@@ -61,68 +64,68 @@ class Colour:
     second_share: float = 0.0
 
 
-def measure(image: Image, patches: Sequence[Patch], settings: Appearance) -> list[Colour]:
-    """The colour of each patch.
+def measure(image: Image, surface: Tiles, settings: Appearance) -> list[Colour]:
+    """The colour of each part.
 
     Args:
-        image: ndarray of shape (H, W, 3), dtype uint8, BGR: the frame the patches are cut from.
-        patches: Parts.
+        image: ndarray of shape (H, W, 3), dtype uint8, BGR: the frame the tiles were taken from.
+        surface: Parts.
         settings: What tells the colour of the light.
 
     Raises:
         InputError: The gray card lies outside the picture, or is too dark or too bright to measure.
     """
-    if not patches:
+    if not surface.which:
         return []
-    samples = np.stack([_samples(patch) for patch in patches])
-    lab = oklab(linear(samples) * balance(image, patches, settings)[:, None])
-    centers = np.median(lab, axis=1)
-    names = [name_of(center) for center in centers]
-    whole = [Colour(name, _triple(center), far) for (name, far), center in zip(names, centers, strict=True)]
+    lab = oklab(linear(_samples(surface)) * balance(image, surface.table, settings)[:, None])
+    centers = _medians(lab)
+    owners, apart = nearest(centers)
+    whole = [
+        Colour(NAMES[int(name)], _triple(center), float(far))
+        for name, far, center in zip(owners, apart, centers, strict=True)
+    ]
     for k, upper in _two_toned(lab):
         whole[k] = _split(lab[k], upper) or whole[k]
     return whole
 
 
-def balance(image: Image, patches: Sequence[Patch], settings: Appearance) -> Floats32:
-    """Factors (N, 3) that turn each patch's linear BGR light into the share it gives back."""
-    ones = np.ones((len(patches), 3), np.float32)
+def balance(image: Image, table: Floats32, settings: Appearance) -> Floats32:
+    """Factors (N, 3) that turn the linear BGR light of parts on such tables (N, 3) into the share they give back."""
+    ones = np.ones((len(table), 3), np.float32)
     if settings.reference == "none":
         return ones
-    around = _light_of(np.array([patch.table for patch in patches]))
+    around = _light_of(table)
     if settings.reference == "patch":
         assert settings.patch_px is not None
         card, beside = _card(image, settings.patch_px)
         # Where the table is brighter than beside the card, so is the light: whatever colour the table has.
         relative = np.clip(around / np.maximum(beside, 1e-4), 0.33, 3.0) if beside.min() > 0.004 else ones
         return np.asarray(settings.patch_reflectance / (card * relative), np.float32)
-    gives = np.full(len(patches), settings.table_reflectance)
+    gives = np.full(len(table), settings.table_reflectance)
     if settings.reference == "auto":
         # Nobody vouches for the table's gray: one that looks brighter than told is taken to be so.
         gives = np.maximum(gives, np.minimum(around @ LUMINANCE, 1.0))
     gains = np.asarray(gives[:, None] / np.maximum(around, 0.01), np.float32)
     if settings.reference == "table":
         return gains
-    believed = np.array([_gray_enough(light) for light in around])
-    return np.where(believed[:, None], gains, ones)
+    return np.where(_gray_enough(around)[:, None], gains, ones)
 
 
-def _light_of(codes: NDArray[np.float64]) -> Floats32:
+def _light_of(codes: NDArray[np.floating[Any]]) -> Floats32:
     """Linear light of codes that need not be whole."""
     return np.asarray(np.interp(codes, np.arange(256), LINEAR), np.float32)
 
 
-def _gray_enough(light: Floats32) -> bool:
-    """Whether linear BGR light can come from a gray table under a lamp of 3300 to 9000 K on a daylight camera.
+def _gray_enough(light: Floats32) -> NDArray[np.bool_]:
+    """Whether linear BGR light (N, 3) can come from a gray table under a lamp of 3300 to 9000 K on a daylight camera.
 
     Lamps follow a line: log(B/G) is about -1.75 log(R/G) (Planck's law in sRGB). A brown table lies further out or
     beside it.
     """
-    if float(light @ LUMINANCE) < _BRIGHT_TABLE:
-        return False
-    warm = math.log(max(float(light[2]), 1e-4) / max(float(light[1]), 1e-4))
-    cold = math.log(max(float(light[0]), 1e-4) / max(float(light[1]), 1e-4))
-    return -0.25 < warm < 0.45 and abs(cold + 1.75 * warm) < 0.4
+    blue, green, red = np.log(np.maximum(light, 1e-4)).T
+    warm, cold = red - green, blue - green
+    near_line = (warm > -0.25) & (warm < 0.45) & (np.abs(cold + 1.75 * warm) < 0.4)
+    return np.asarray(near_line & (light @ LUMINANCE >= _BRIGHT_TABLE))
 
 
 def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32, Floats32]:
@@ -146,28 +149,41 @@ def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32,
     return np.maximum(_light_of(codes), 1e-3), _light_of(beside)
 
 
-def _samples(patch: Patch) -> NDArray[np.uint8]:
-    """SAMPLES pixels (n, 3) of the material, spread evenly, without glare unless there is little else."""
-    rows, columns = np.divmod(_spread(np.flatnonzero(patch.material)), patch.material.shape[1])
-    values = patch.image[rows, columns]
-    matt = np.flatnonzero((values[:, 0] < _GLARE) | (values[:, 1] < _GLARE) | (values[:, 2] < _GLARE))
-    return values if len(matt) == SAMPLES or 2 * len(matt) < SAMPLES else values[_spread(matt)]
+def _samples(surface: Tiles) -> NDArray[np.uint8]:
+    """SAMPLES pixels (N, n, 3) of each part's material, spread evenly, without glare unless there is little else."""
+    codes = surface.planes.reshape(-1, 3, SIDE * SIDE)
+    chosen = surface.material.reshape(-1, SIDE * SIDE)
+    bright = codes >= _GLARE
+    matt = chosen & ~(bright[:, 0] & bright[:, 1] & bright[:, 2])
+    dull = 2 * counts(matt) >= counts(chosen)
+    chosen = np.where(dull[:, None], matt, chosen)
+    # Row by row the places of the chosen pixels, first those that are.
+    places = np.argsort(~chosen, axis=1, kind="stable")
+    ranks = np.arange(SAMPLES) * counts(chosen)[:, None] // SAMPLES
+    picked = np.take_along_axis(places, ranks, axis=1)
+    return np.asarray(codes[np.arange(len(codes))[:, None], :, picked], np.uint8)
 
 
-def _spread(values: NDArray[np.intp]) -> NDArray[np.intp]:
-    """SAMPLES of the values, evenly spread; some more than once where there are fewer."""
-    return values[np.arange(SAMPLES) * len(values) // SAMPLES]
+def _medians(lab: Floats32) -> Floats32:
+    """Medians (N, 3) of samples (N, n, 3)."""
+    ordered = np.sort(lab.transpose(0, 2, 1), axis=2)
+    return np.asarray(0.5 * (ordered[:, :, (SAMPLES - 1) // 2] + ordered[:, :, SAMPLES // 2]), np.float32)
 
 
 def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
     """Which parts (N, SAMPLES, 3) may have two colours, and which of their samples are on one side of the divide."""
     rest = lab - lab.mean(axis=1, keepdims=True)
-    spreads, axes = np.linalg.eigh(rest.transpose(0, 2, 1) @ rest / SAMPLES)
+    covariance = rest.transpose(0, 2, 1) @ rest / SAMPLES
     # One colour, noise and shading included, spreads less than two that could be told apart.
-    chosen = np.flatnonzero(spreads[:, 2] > _SECOND_SHARE * (1.0 - _SECOND_SHARE) * _APART**2)
+    least = _SECOND_SHARE * (1.0 - _SECOND_SHARE) * _APART**2
+    # The sum of the three spreads bounds the largest.
+    chosen = np.flatnonzero(np.trace(covariance, axis1=1, axis2=2) > least)
+    spreads, axes = np.linalg.eigh(covariance[chosen])
+    wide = spreads[:, 2] > least
+    chosen = chosen[wide]
     if not len(chosen):
         return []
-    along = (rest[chosen] @ axes[chosen][:, :, 2:])[:, :, 0]
+    along = (rest[chosen] @ axes[wide][:, :, 2:])[:, :, 0]
     cut = np.zeros((len(chosen), 1), np.float32)
     for _ in range(6):
         upper = along > cut

@@ -27,74 +27,129 @@ Floats32 = NDArray[np.float32]
 
 BANDS = (0.8, 1.6, 3.2, 6.4)
 """Standard deviations of the Gaussians between which contrast is measured, px of a tile."""
-RADII = (1.5, 3.0)
-"""Of the local binary patterns, px of a tile."""
+RADIUS = 1.5
+"""Of the local binary patterns, px of a tile and of one half as fine."""
 FLOOR = 0.01
 """Contrast below which nothing is told apart: 1 % of the range of codes is a good camera's noise."""
 _PATTERNS = 10
-LENGTH = len(BANDS) + 1 + 2 + 6 + _PATTERNS * len(RADII)
+LENGTH = len(BANDS) + 1 + 2 + 6 + _PATTERNS * 2
 
 
 def descriptors(surface: Tiles) -> Floats32:
     """(N, LENGTH) texture descriptors of tiles."""
-    count = len(surface.image)
+    count = len(surface.planes)
     if not count:
         return np.empty((0, LENGTH), np.float32)
-    inside = (surface.material > 127).astype(np.float32)
-    shades = _shades(surface.image, inside)
-    weight = np.maximum(inside.sum(axis=(1, 2)), 1.0)
-    tall = np.ascontiguousarray(shades.reshape(-1, SIDE))
-    # Differences that reach beyond the material are left out.
-    eroded = cv2.erode(np.ascontiguousarray(inside.reshape(-1, SIDE)), np.ones((3, 3), np.uint8))
-    deep = np.asarray(eroded, np.float32).reshape(inside.shape)
-    deep[:, [0, -1]] = 0.0
-    deep[:, :, [0, -1]] = 0.0
-    deep_weight = np.maximum(deep.sum(axis=(1, 2)), 1.0)
-    total = np.sqrt((shades * shades).sum(axis=(1, 2)) / weight)
+    inside = surface.material.astype(np.float32)
+    shades = _shades(surface.planes, inside)
+    weight = np.maximum(_sums(inside), 1.0)
+    deep = _deep(surface.material)
+    deep_weight = np.maximum(_sums(deep), 1.0)
+    total = np.sqrt(_dot(shades, shades) / weight)
     columns = [np.log(total + FLOOR)]
-    blurred = [tall]
-    for sigma in BANDS:
-        blurred.append(np.asarray(cv2.GaussianBlur(tall, (0, 0), sigma), np.float32))
+    blurred = [shades, *_blurred(shades)]
     for fine, coarse in pairwise(blurred):
-        band = (fine - coarse).reshape(shades.shape)
-        columns.append(np.log(np.sqrt((band * band * deep).sum(axis=(1, 2)) / deep_weight) + FLOOR))
-    unit = shades / (total + FLOOR)[:, None, None] * inside
+        band = fine - coarse
+        columns.append(np.log(np.sqrt(_dot(band * band, deep) / deep_weight) + FLOOR))
+    unit = np.asarray(shades / (total + np.float32(FLOOR))[:, None, None], np.float32)
     square = unit * unit
-    columns.append((square * unit).sum(axis=(1, 2)) / weight)
-    columns.append(np.log1p((square * square).sum(axis=(1, 2)) / weight))
-    for level in (1, 2, 3):
-        columns += _agreement(np.asarray(blurred[level].reshape(shades.shape), np.float32), deep)
-    own = np.arange(count)[:, None, None] * _PATTERNS
-    keep = deep > 0.0
-    for radius, level in zip(RADII, (1, 2), strict=True):
-        base = blurred[level]
-        codes = _patterns(base, radius, total, count)
-        histogram = np.bincount((own + codes)[keep], minlength=count * _PATTERNS).reshape(count, _PATTERNS)
-        columns += list(np.sqrt(histogram / deep_weight[:, None]).T)
+    columns.append(_dot(square, unit) / weight)
+    columns.append(np.log1p(_dot(square, square) / weight))
+    # What was blurred is looked at on every second pixel: it has no finer detail.
+    halves = [np.ascontiguousarray(blurred[level][:, ::2, ::2]) for level in (2, 3)]
+    deep_half = np.ascontiguousarray(deep[:, ::2, ::2])
+    columns += _agreement(blurred[1], deep)
+    for half in halves:
+        columns += _agreement(half, deep_half)
+    columns += _histograms(blurred[1], total, deep)
+    columns += _histograms(halves[0], total, deep_half)
     return np.stack(columns, axis=1).astype(np.float32)
 
 
-def _shades(image: NDArray[np.uint8], inside: Floats32) -> Floats32:
+def _sums(values: Floats32) -> Floats32:
+    """(N,) sums over tiles (N, SIDE, SIDE)."""
+    return np.asarray(np.einsum("nij->n", values), np.float32)
+
+
+def _dot(a: Floats32, b: Floats32) -> Floats32:
+    """(N,) sums of products over tiles (N, SIDE, SIDE)."""
+    return np.asarray(np.einsum("nij,nij->n", a, b), np.float32)
+
+
+def _deep(material: NDArray[np.bool_]) -> Floats32:
+    """1 where what is computed from a neighbourhood stays within the material and the tile, else 0."""
+    tall = np.ascontiguousarray(material.reshape(-1, SIDE).view(np.uint8))
+    eroded = cv2.erode(tall, np.ones((3, 3), np.uint8))
+    deep = np.asarray(eroded, np.float32).reshape(material.shape)
+    # Tiles stand on one another when patterns are read: no row near another tile counts.
+    reach = 2 * math.ceil(RADIUS)
+    deep[:, :reach] = 0.0
+    deep[:, -reach:] = 0.0
+    deep[:, :, [0, -1]] = 0.0
+    return deep
+
+
+def _gaussians() -> Floats32:
+    """(SIDE, len(BANDS) * SIDE): a tile's row times this is the row blurred by each of BANDS, mirrored at its ends."""
+    place = np.arange(SIDE)
+    blocks = []
+    for sigma in BANDS:
+        far = np.arange(-SIDE, 2 * SIDE)
+        weights = np.exp(-0.5 * ((far[:, None] - place) / sigma) ** 2)
+        mirrored = np.abs(far)
+        mirrored = np.where(mirrored > SIDE - 1, 2 * (SIDE - 1) - mirrored, mirrored)
+        matrix = np.zeros((SIDE, SIDE))
+        np.add.at(matrix, mirrored, weights)
+        blocks.append(matrix / matrix.sum(axis=0))
+    return np.concatenate(blocks, axis=1).astype(np.float32)
+
+
+_GAUSSIANS = _gaussians()
+
+
+def _blurred(shades: Floats32) -> list[Floats32]:
+    """The tiles (N, SIDE, SIDE) blurred by each of BANDS."""
+    count = len(shades)
+    across = (shades.reshape(-1, SIDE) @ _GAUSSIANS).reshape(count, SIDE, len(BANDS), SIDE)
+    out = []
+    for k in range(len(BANDS)):
+        down = _GAUSSIANS[:, k * SIDE : (k + 1) * SIDE].T
+        out.append(np.ascontiguousarray(down @ across[:, :, k]))
+    return out
+
+
+def _plane() -> Floats32:
+    """(3, SIDE * SIDE): one, and a ramp along either axis, of about unit size."""
+    ramp = (np.arange(SIDE, dtype=np.float32) - (SIDE - 1) / 2.0) / SIDE
+    across, down = np.meshgrid(ramp, ramp)
+    return np.stack([np.ones_like(across), across, down]).reshape(3, -1).astype(np.float32)
+
+
+_PLANE = _plane()
+# Products of two of them, one a row: 3 x 3 times SIDE * SIDE.
+_PLANE_PRODUCTS = (_PLANE[:, None] * _PLANE[None]).reshape(9, -1)
+
+
+def _shades(planes: NDArray[np.uint8], inside: Floats32) -> Floats32:
     """(N, SIDE, SIDE) of how far each pixel is from its part's mean along the main variation, 1 = full range.
 
     Slow shading, a plane across the part, is taken out; outside the material it is 0.
     """
-    weight = np.maximum(inside.sum(axis=(1, 2)), 1.0)
-    values = image.reshape(len(image), -1, 3).astype(np.float32) / 255.0
-    keep = inside.reshape(len(image), -1)
-    mean = (keep[:, None, :] @ values)[:, 0] / weight[:, None]
-    rest = (values - mean[:, None]) * keep[:, :, None]
-    covariance = rest.transpose(0, 2, 1) @ rest / weight[:, None, None]
+    count = len(planes)
+    weight = np.maximum(_sums(inside), 1.0)
+    values = planes.reshape(count, 3, -1).astype(np.float32)
+    keep = inside.reshape(count, -1)
+    mean = (values @ keep[:, :, None]) / weight[:, None, None]
+    values -= mean
+    values *= (keep / np.float32(255.0))[:, None]
+    covariance = values @ values.transpose(0, 2, 1) / weight[:, None, None]
     _, axes = np.linalg.eigh(covariance)
-    along = (rest @ axes[:, :, 2:])[:, :, 0]
-    ramp = (np.arange(SIDE, dtype=np.float32) - (SIDE - 1) / 2.0) / SIDE
-    across, down = np.meshgrid(ramp, ramp)
-    basis = np.stack([np.ones_like(across), across, down]).reshape(3, -1).astype(np.float32)
-    weighted = keep[:, None, :] * basis
-    normal = weighted @ basis.T + 1e-3 * np.eye(3, dtype=np.float32)
-    plane = np.linalg.solve(normal, weighted @ along[:, :, None])[:, :, 0]
-    along = (along - plane @ basis) * keep
-    skew = (along * along * along).sum(axis=1)
+    along = (axes[:, :, 2][:, None] @ values)[:, 0]
+    # `along` is 0 outside the material, and the mean was taken off: only the normal matrix needs the weights.
+    normal = (keep @ _PLANE_PRODUCTS.T).reshape(count, 3, 3) + 1e-3 * np.eye(3, dtype=np.float32)
+    plane = np.linalg.solve(normal, (along @ _PLANE.T)[:, :, None])[:, :, 0]
+    along = np.asarray((along - plane @ _PLANE) * keep, np.float32)
+    skew = np.einsum("ni,ni,ni->n", along, along, along)
     return np.asarray((along * np.where(skew < 0.0, -1.0, 1.0)[:, None]).reshape(inside.shape), np.float32)
 
 
@@ -102,17 +157,18 @@ def _agreement(values: Floats32, deep: Floats32) -> list[Floats32]:
     """How much gradients share one axis, and one pair of axes, 0 to 1."""
     dx = np.zeros_like(values)
     dy = np.zeros_like(values)
-    dx[:, :, 1:-1] = values[:, :, 2:] - values[:, :, :-2]
-    dy[:, 1:-1] = values[:, 2:] - values[:, :-2]
+    np.subtract(values[:, :, 2:], values[:, :, :-2], out=dx[:, :, 1:-1])
+    np.subtract(values[:, 2:], values[:, :-2], out=dy[:, 1:-1])
     square = dx * dx - dy * dy
     cross = 2.0 * dx * dy
-    power = np.sqrt(square * square + cross * cross) * deep
-    total = power.sum(axis=(1, 2)) + 1e-4
-    one = np.hypot((square * deep).sum(axis=(1, 2)), (cross * deep).sum(axis=(1, 2))) / total
+    squared, crossed = square * square, cross * cross
+    power = np.sqrt(squared + crossed)
+    total = _dot(power, deep) + np.float32(1e-4)
+    one = np.hypot(_dot(square, deep), _dot(cross, deep)) / total
     # The doubled angle once more: (square + i cross)^2 / |.| has four times the direction's angle.
-    safe = np.maximum(power, 1e-9)
-    real = ((square * square - cross * cross) * deep / safe).sum(axis=(1, 2))
-    imaginary = ((2.0 * square * cross) * deep / safe).sum(axis=(1, 2))
+    weight = deep / np.maximum(power, np.float32(1e-9))
+    real = _dot(squared - crossed, weight)
+    imaginary = 2.0 * _dot(square * cross, weight)
     return [np.asarray(one, np.float32), np.asarray(np.hypot(real, imaginary) / total, np.float32)]
 
 
@@ -133,24 +189,28 @@ def _kernels(radius: float) -> list[NDArray[np.float32]]:
     return out
 
 
-_CIRCLES = {radius: _kernels(radius) for radius in RADII}
+_CIRCLE = _kernels(RADIUS)
 _LEAST_STEP = 0.15
 """A neighbour counts as brighter when it is so by this share of the texture's contrast: noise has no pattern."""
 
 
-def _patterns(base: Floats32, radius: float, total: Floats32, count: int) -> NDArray[np.intp]:
-    """Rotation-invariant uniform patterns, 0 to 9, of every pixel of N tiles that stand on one another."""
-    least = np.repeat(_LEAST_STEP * (total + FLOOR), SIDE)[:, None].astype(np.float32)
+def _histograms(values: Floats32, total: Floats32, deep: Floats32) -> list[Floats32]:
+    """Roots of the shares of rotation-invariant uniform patterns 0 to 9, each (N,), where `deep` is not 0."""
+    count, side = len(values), values.shape[1]
+    tall = values.reshape(-1, side)
+    least = np.repeat(_LEAST_STEP * (total + FLOOR), side)[:, None].astype(np.float32)
     bits = [
-        (cv2.filter2D(base, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) > least).view(np.uint8)
-        for kernel in _CIRCLES[radius]
+        (cv2.filter2D(tall, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) > least).view(np.uint8)
+        for kernel in _CIRCLE
     ]
-    ones = sum(bits[1:], bits[0].copy())
+    ones = bits[0].copy()
     changes = bits[-1] ^ bits[0]
     for a, b in pairwise(bits):
-        changes = changes + (a ^ b)
-    codes = np.where(changes <= 2, ones, 9)
-    return codes.reshape(count, SIDE, SIDE).astype(np.intp)
+        ones += b
+        changes += a ^ b
+    codes = np.where(changes <= 2, ones, np.uint8(9)).reshape(count, -1) + np.arange(count)[:, None] * _PATTERNS
+    shares = np.bincount(codes[deep.reshape(count, -1) > 0.0], minlength=count * _PATTERNS).reshape(count, _PATTERNS)
+    return list(np.sqrt(shares / np.maximum(_sums(deep), 1.0)[:, None]).astype(np.float32).T)
 
 
 SHIPPED = Path(__file__).with_name("textures.npz")

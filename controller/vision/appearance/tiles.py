@@ -6,6 +6,7 @@ Whatever is said of a tile has to be invariant to rotation; scale is relative to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,11 +14,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.appearance.patch import Patch
+from controller.domain import Detection
+from controller.vision.appearance.hole import blobs_like_table, counts
+from controller.vision.appearance.surroundings import surroundings
+
+Image = NDArray[np.uint8]
+Floats32 = NDArray[np.float32]
 
 SIDE = 32
+_MIDDLE = (SIDE - 1) / 2.0
 WINDOW = 1.3
 """A square's half diagonal lies 0.71, a circle's radius 0.56 roots of its area from the middle."""
+_RIM = 0.07
+"""How far inside the outline the material is looked at, share of the short side: beyond blur and side faces' edge."""
+_LEAST_RIM = 1.5
+"""px of the frame: the blur of a sharp lens."""
+_MOST_RIM = 4
+"""px of a tile."""
+_FEW = 12
+"""Fewer pixels say nothing of a surface."""
+_NARROWEST = 3.0
+"""px of the frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,38 +42,95 @@ class Tiles:
     """The surfaces of N parts.
 
     Attributes:
-        image: ndarray of shape (N, SIDE, SIDE, 3), dtype uint8, BGR.
-        solid: ndarray of shape (N, SIDE, SIDE), dtype uint8: 255 where the part is.
-        material: ndarray of shape (N, SIDE, SIDE), dtype uint8: 255 where its material is seen, away from edges.
+        which: Index of each among the detections.
+        detections: The parts.
+        planes: ndarray of shape (N, 3, SIDE, SIDE), dtype uint8: blue, green and red.
+        solid: ndarray of shape (N, SIDE, SIDE), dtype bool: where the part is.
+        material: ndarray of shape (N, SIDE, SIDE), dtype bool: where its material is seen, away from edges and holes.
+        table: ndarray of shape (N, 3), dtype float32: BGR codes of the empty table around each.
+        holed: Of each whether the table shows through it.
     """
 
-    image: NDArray[np.uint8]
-    solid: NDArray[np.uint8]
-    material: NDArray[np.uint8]
+    which: tuple[int, ...]
+    detections: tuple[Detection, ...]
+    planes: Image
+    solid: NDArray[np.bool_]
+    material: NDArray[np.bool_]
+    table: Floats32
+    holed: tuple[bool, ...]
 
 
-def tiles(patches: Sequence[Patch]) -> Tiles:
-    """The tiles of some patches."""
-    image = np.empty((len(patches), SIDE, SIDE, 3), np.uint8)
-    masks = np.empty((2, len(patches), SIDE, SIDE), np.uint8)
-    for k, patch in enumerate(patches):
-        scale = SIDE / (WINDOW * max(patch.detection.area_px, 1.0) ** 0.5)
-        shown, solid, material = patch.image, patch.solid, patch.material
-        reduce = int(1.0 / scale)
-        x, y = (c - o for c, o in zip(patch.detection.center_px, patch.corner, strict=True))
-        if reduce > 1:
-            # Averaged first: a warp that skips pixels would fold fine textures into coarse ones.
-            size = (max(1, shown.shape[1] // reduce), max(1, shown.shape[0] // reduce))
-            x = (x + 0.5) * size[0] / shown.shape[1] - 0.5
-            y = (y + 0.5) * size[1] / shown.shape[0] - 0.5
-            scale *= shown.shape[1] / size[0]
-            shown, solid, material = (
-                np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
-                for part in (shown, solid, material)
-            )
-        middle = (SIDE - 1) / 2.0
-        matrix = np.array([[scale, 0.0, middle - scale * x], [0.0, scale, middle - scale * y]])
-        cv2.warpAffine(shown, matrix, (SIDE, SIDE), dst=image[k], borderMode=cv2.BORDER_REPLICATE)
-        cv2.warpAffine(solid, matrix, (SIDE, SIDE), dst=masks[0, k])
-        cv2.warpAffine(material, matrix, (SIDE, SIDE), dst=masks[1, k])
-    return Tiles(image, masks[0], masks[1])
+def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
+    """The tiles of the detections that are large enough to be looked at.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8, BGR.
+        detections: What was found in it.
+    """
+    which = [k for k, item in enumerate(detections) if min(item.bbox_px[2:]) >= _NARROWEST]
+    chosen = [detections[k] for k in which]
+    count = len(chosen)
+    shown = np.empty((count, SIDE, SIDE, 3), np.uint8)
+    solid = np.zeros((count, SIDE, SIDE), np.uint8)
+    limit = np.array(image.shape[1::-1]) - 1.0
+    rims = np.empty(count)
+    for k, item in enumerate(chosen):
+        scale = SIDE / (WINDOW * math.sqrt(max(item.area_px, 1.0)))
+        _show(image, item, scale, shown[k])
+        ring = (np.clip(item.outline_px, 0.0, limit) - item.center_px) * scale + _MIDDLE
+        cv2.fillPoly(solid[k], [np.rint(ring * 16.0).astype(np.int32)[:, None]], (255,), shift=4)
+        rims[k] = scale * max(_LEAST_RIM, _RIM * item.size_px[1])
+    table = surroundings(image, chosen)
+    planes = np.ascontiguousarray(shown.transpose(0, 3, 1, 2))
+    material = _eroded(solid, np.clip(np.rint(rims).astype(int), 1, _MOST_RIM)) > 0
+    whole = solid > 0
+    enough = counts(material) >= _FEW
+    material[~enough] = whole[~enough]
+    holes = blobs_like_table(planes, material, table, ["hole" in item.flags for item in chosen])
+    found = counts(holes) > 0
+    for k in (int(k) for k in np.flatnonzero(found)):
+        whole[k] &= ~holes[k]
+        clear = material[k] & (cv2.dilate(holes[k].view(np.uint8), np.ones((3, 3), np.uint8)) == 0)
+        material[k] = clear if np.count_nonzero(clear) >= _FEW else material[k] & ~holes[k]
+    keep = np.flatnonzero((counts(whole) >= _FEW) & (counts(material) > 0))
+    return Tiles(
+        tuple(which[k] for k in keep),
+        tuple(chosen[k] for k in keep),
+        planes[keep],
+        whole[keep],
+        material[keep],
+        table[keep],
+        tuple(bool(found[k]) for k in keep),
+    )
+
+
+def _show(image: Image, item: Detection, scale: float, out: Image) -> None:
+    """Bring a part's surroundings to a tile."""
+    x, y = item.center_px
+    reduce = int(1.0 / scale)
+    if reduce > 1:
+        # Averaged first: a warp that skips pixels would fold fine textures into coarse ones.
+        reach = 0.5 * SIDE / scale + reduce
+        left, top = max(0, int(x - reach)), max(0, int(y - reach))
+        # Whole blocks only.
+        wide = max(1, (min(int(x + reach) + 2, image.shape[1]) - left) // reduce)
+        high = max(1, (min(int(y + reach) + 2, image.shape[0]) - top) // reduce)
+        cut = image[top : top + high * reduce, left : left + wide * reduce]
+        image = np.asarray(cv2.resize(cut, (wide, high), interpolation=cv2.INTER_AREA), np.uint8)
+        x, y = (x - left + 0.5) / reduce - 0.5, (y - top + 0.5) / reduce - 0.5
+        scale *= reduce
+    matrix = np.array([[scale, 0.0, _MIDDLE - scale * x], [0.0, scale, _MIDDLE - scale * y]])
+    cv2.warpAffine(image, matrix, (SIDE, SIDE), dst=out, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> NDArray[np.uint8]:
+    """The masks (N, SIDE, SIDE) with each rim taken off, px; what a tile's edge cuts counts as going on."""
+    out = np.empty_like(masks)
+    padded = np.full((len(masks), SIDE + 2 * _MOST_RIM, SIDE), 255, np.uint8)
+    padded[:, _MOST_RIM:-_MOST_RIM] = masks
+    for rim in np.unique(rims):
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(rim) + 1,) * 2)
+        thin = np.asarray(cv2.erode(padded.reshape(-1, SIDE), kernel), np.uint8).reshape(padded.shape)
+        own = rims == rim
+        out[own] = thin[own, _MOST_RIM:-_MOST_RIM]
+    return out

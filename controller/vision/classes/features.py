@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from controller.domain import Detection
 from controller.geometry import PlaneMap
 from controller.vision.appearance.look import Surfaces
-from controller.vision.appearance.patch import Patch
 from controller.vision.appearance.texture import LENGTH as TEXTURE_LENGTH
 from controller.vision.appearance.tiles import SIDE, WINDOW, Tiles
+from controller.vision.classes.silhouette import Silhouette, silhouette
 
 Floats32 = NDArray[np.float32]
 
-VERSION = 1
+VERSION = 2
 """Changes whenever a figure's meaning does: classes taught with another version have to be taught again."""
 
 _RINGS, _ANGLES, _HARMONICS = 14, 64, 12
@@ -58,13 +58,36 @@ def features(detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMa
     if not count:
         return np.empty((0, LENGTH), np.float32)
     chosen = [detections[k] for k in surfaces.which]
-    polar = np.stack([_circles(patch) for patch in surfaces.patches])
-    outline = np.abs(np.fft.rfft(polar, axis=1))[:, :_HARMONICS].reshape(count, -1) / _ANGLES
-    form = np.array([_form(patch) for patch in surfaces.patches])
+    seen = surfaces.tiles
+    silhouettes = [
+        silhouette(surfaces.image, item, table, holed)
+        for item, table, holed in zip(chosen, seen.table, seen.holed, strict=True)
+    ]
+    # Two samples a ring, averaged: an edge that crosses a ring moves the figure evenly.
+    grids = np.stack([_circles(item, form) for item, form in zip(chosen, silhouettes, strict=True)])
+    polar = np.asarray((grids[:, :, ::2] + grids[:, :, 1::2].astype(np.float32)) / 510.0, np.float32)
+    outline = _strengths(polar, _OUTLINE_WAVES, _HARMONICS)
+    form = np.array([_form(item, form) for item, form in zip(chosen, silhouettes, strict=True)])
     size = np.log(np.sqrt([max(item.area_px, 1.0) for item in chosen]) * _scales(chosen, plane))
     colour = np.array([seen.lab for seen in surfaces.colours])
-    parts = (outline, form, size[:, None], colour, surfaces.textures, _print(surfaces.tiles))
+    parts = (outline, form, size[:, None], colour, surfaces.textures, _print(seen))
     return np.concatenate([np.asarray(part, np.float32) for part in parts], axis=1)
+
+
+def _waves(angles: int, harmonics: int) -> Floats32:
+    """(2 * harmonics, angles): cosines and sines of the first harmonics of a circle, so that a mean is 1."""
+    turn = np.outer(np.arange(harmonics), np.arange(angles)) * 2.0 * math.pi / angles
+    return np.concatenate([np.cos(turn), np.sin(turn)]).astype(np.float32) / np.float32(angles)
+
+
+_OUTLINE_WAVES = _waves(_ANGLES, _HARMONICS)
+_PRINT_WAVES = _waves(_ANGLES // 2, _PRINT_HARMONICS)
+
+
+def _strengths(polar: Floats32, waves: Floats32, harmonics: int) -> Floats32:
+    """(n, harmonics * rings): how strong each harmonic is on each ring of polar grids (n, angles, rings)."""
+    both = waves @ polar
+    return np.asarray(np.hypot(both[:, :harmonics], both[:, harmonics:]).reshape(len(polar), -1), np.float32)
 
 
 def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[np.float64]:
@@ -78,25 +101,20 @@ def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[
     return np.asarray(np.sqrt(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])))
 
 
-def _circles(patch: Patch) -> Floats32:
-    """(ANGLES, RINGS): how much of the part lies around each place of a polar grid, 0 to 1."""
-    x, y = (c - o for c, o in zip(patch.detection.center_px, patch.corner, strict=True))
-    reach = _REACH * math.sqrt(max(patch.detection.area_px, 1.0))
-    # Two samples a ring, averaged: an edge that crosses a ring moves the figure evenly.
+def _circles(item: Detection, form: Silhouette) -> NDArray[np.uint8]:
+    """(ANGLES, 2 * RINGS): how much of the part lies at each place of a polar grid, 0 to 255."""
+    x, y = (c - o for c, o in zip(item.center_px, form.corner, strict=True))
+    reach = _REACH * math.sqrt(max(item.area_px, 1.0))
     # Without the flag, what lies outside the cut would be whatever the memory held.
     how = cv2.WARP_POLAR_LINEAR | cv2.WARP_FILL_OUTLIERS
-    grid = cv2.warpPolar(patch.solid, (2 * _RINGS, _ANGLES), (x, y), reach, how)
-    return np.asarray(grid.reshape(_ANGLES, _RINGS, 2).mean(axis=2) / 255.0, np.float32)
+    return np.asarray(cv2.warpPolar(form.solid, (2 * _RINGS, _ANGLES), (x, y), reach, how), np.uint8)
 
 
-def _form(patch: Patch) -> tuple[float, float, float]:
+def _form(item: Detection, form: Silhouette) -> tuple[float, float, float]:
     """Logarithm of the aspect, share of the hull that is filled, share of the outline that is hole."""
-    outline = patch.detection.outline_px.astype(np.float32)
-    hull = float(cv2.contourArea(cv2.convexHull(outline)))
-    long, short = patch.detection.size_px
-    inside = max(cv2.countNonZero(patch.inside), 1)
-    hole = 1.0 - cv2.countNonZero(patch.solid) / inside
-    return math.log(max(long, 1.0) / max(short, 1.0)), patch.detection.area_px / max(hull, 1.0), hole
+    hull = float(cv2.contourArea(cv2.convexHull(item.outline_px.astype(np.float32))))
+    long, short = item.size_px
+    return math.log(max(long, 1.0) / max(short, 1.0)), item.area_px / max(hull, 1.0), form.hole
 
 
 def _sampling() -> tuple[NDArray[np.intp], Floats32]:
@@ -115,6 +133,7 @@ def _sampling() -> tuple[NDArray[np.intp], Floats32]:
 
 
 _PLACES, _WEIGHTS = _sampling()
+_GRAY = np.array([[0.114, 0.587, 0.299]], np.float32)
 
 
 def _print(surface: Tiles) -> Floats32:
@@ -122,12 +141,10 @@ def _print(surface: Tiles) -> Floats32:
 
     Brightness is relative to the part's mean, and counts only on its material: light and edges leave it alone.
     """
-    count = len(surface.image)
-    gray = np.stack([cv2.cvtColor(tile, cv2.COLOR_BGR2GRAY) for tile in surface.image]).reshape(count, -1)
-    inside = (surface.material.reshape(count, -1) > 127).astype(np.float32)
-    values = gray.astype(np.float32)
+    count = len(surface.planes)
+    inside = surface.material.reshape(count, -1).astype(np.float32)
+    values = (_GRAY @ surface.planes.reshape(count, 3, -1).astype(np.float32))[:, 0]
     mean = (values * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1.0)
     relative = (values / np.maximum(mean, 8.0)[:, None] - 1.0) * inside
     grid = (relative[:, _PLACES] * _WEIGHTS).sum(axis=1).reshape(count, _ANGLES // 2, _PRINT_RINGS)
-    strengths = np.abs(np.fft.rfft(grid, axis=1))[:, :_PRINT_HARMONICS] / (_ANGLES // 2)
-    return np.asarray(strengths.reshape(count, -1), np.float32)
+    return _strengths(grid, _PRINT_WAVES, _PRINT_HARMONICS)

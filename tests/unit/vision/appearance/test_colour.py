@@ -15,8 +15,8 @@ from controller.errors import ConfigError, InputError
 from controller.vision.appearance import palette
 from controller.vision.appearance.colour import Colour, measure
 from controller.vision.appearance.oklab import oklab_of
-from controller.vision.appearance.patch import cut_out
 from controller.vision.appearance.settings import Appearance
+from controller.vision.appearance.tiles import tiles
 from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
@@ -37,8 +37,8 @@ CSS = {
 def _seen(things: list[Thing], settings: Appearance, light: Floats | None = None) -> list[Colour]:
     size = (240, 160)
     picture = surfaces.paint(things, size, np.random.default_rng(1), light=light)
-    patches = cut_out(picture, [detection_of(thing, Frame(1, 0.0, picture)) for thing in things])
-    return measure(picture, [patch for patch in patches if patch is not None], settings)
+    found = [detection_of(thing, Frame(1, 0.0, picture)) for thing in things]
+    return measure(picture, tiles(picture, found), settings)
 
 
 def test_rules_may_ask_for_the_names_of_the_palette() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 
 from controller.domain import Frame
 from controller.vision.appearance import naming, texture
-from controller.vision.appearance.patch import cut_out
 from controller.vision.appearance.tiles import tiles
 from tests.benchmarks import surfaces
 from tests.benchmarks.surfaces import SQUARE, Thing
@@ -28,15 +27,15 @@ def test_a_descriptor_hardly_changes_with_the_turn() -> None:
         for k, turn in enumerate(turns)
     ]
     picture = surfaces.paint(things, (420, 120), np.random.default_rng(0), blur=0.7, noise=2.0)
-    patches = cut_out(picture, [detection_of(thing, Frame(1, 0.0, picture)) for thing in things])
-    values = texture.descriptors(tiles([patch for patch in patches if patch is not None]))
+    found = [detection_of(thing, Frame(1, 0.0, picture)) for thing in things]
+    values = texture.descriptors(tiles(picture, found))
     coherence = values[:, 7]
     assert coherence.min() > 0.8  # stripes share one axis whatever their turn
     assert texture.names_of(values) == ["striped"] * 4
 
 
 def test_no_parts_have_no_textures() -> None:
-    assert texture.descriptors(tiles([])).shape == (0, texture.LENGTH)
+    assert texture.descriptors(tiles(np.zeros((40, 40, 3), np.uint8), [])).shape == (0, texture.LENGTH)
     assert texture.names_of(np.empty((0, texture.LENGTH), np.float32)) == []
 
 
