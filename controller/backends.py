@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.config.cell import CellConfig
+from controller.config.cell import CellConfig, KindSection
 from controller.cycle.machine import State
 from controller.cycle.rehearsal import EmptyHanded, ImaginedPart, OneLook, Rehearsal
 from controller.cycle.rig import Observer
@@ -396,7 +396,11 @@ class PaintedTable:
         self.presenter: Presenter = empty.presenter
 
     def show(
-        self, parts: Sequence[tuple[Shape, Point, float]], widths: Sequence[float], seed: int
+        self,
+        parts: Sequence[tuple[Shape, Point, float]],
+        widths: Sequence[float],
+        seed: int,
+        kind: KindSection | None = None,
     ) -> tuple[Frame, Sequence[TruePart]]:
         """A picture of parts laid at (shape, (x, y) in `table`, yaw), mm and rad; and where they truly are.
 
@@ -404,6 +408,7 @@ class PaintedTable:
             parts: What to lay.
             widths: Extents between the jaws to choose from, mm.
             seed: Of widths and colours.
+            kind: All are of this kind.
         """
         from sim_backends.parts import COLOURS, Part
 
@@ -413,7 +418,10 @@ class PaintedTable:
         for shape, center, yaw in parts:
             x, y, _ = transform(self._T_base_table, [*center, 0.0])
             colour, grip = random.choice(list(COLOURS)), random.choice(widths)
-            laid.append(Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn))
+            part = Part(shape, str(colour), float(grip), self._spec.heights[shape], 0.02, 0.5, x, y, yaw + turn)
+            if kind is not None:
+                part = replace(part, colour=kind.colour, marking=kind.marking, kind=kind.name)
+            laid.append(part)
         cell = _simulated_cell()(self._spec, laid)
         cell.camera.open()
         frame = cell.camera.capture(cell.clock.now())
@@ -455,7 +463,7 @@ def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions
 
 def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> CellSpec:
     from sim_backends.cell_spec import CellSpec
-    from sim_backends.parts import WorkArea
+    from sim_backends.parts import Kind, WorkArea
 
     area = config.table.work_area
     T_base_table = config.table.T_base_table()
@@ -472,6 +480,9 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         level=str(options.level),
         disturb=options.disturb,
         heights={part.shape: part.height_mm for part in config.parts},
+        kinds=tuple(
+            Kind(kind.name, kind.shape, kind.colour, kind.marking, kind.width_mm) for kind in config.simulated_kinds
+        ),
         # The controller knows its own place to some mm and a degree: what lies on the rim may be out for it.
         work_area=WorkArea(
             radius=(area.inner_radius_mm + 4.0, area.outer_radius_mm - 4.0),

@@ -563,6 +563,7 @@ class TruePart:
         upright: It stands on the face it was laid on.
         place: `table`, `gripper`, `floor`, `away` (a person has it), or the name of the bin it lies in.
         reachable: It lay within the arm's reach at the start.
+        kind: Name of its kind, where the table was laid with chosen kinds; else "".
     """
 
     part_id: int
@@ -575,3 +576,4 @@ class TruePart:
     upright: bool
     place: str
     reachable: bool
+    kind: str = ""

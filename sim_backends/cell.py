@@ -19,6 +19,7 @@ from sim_backends.disturbances import Disturber, disturbances
 from sim_backends.hands import Hands, displacement
 from sim_backends.imperfections import Imperfections, draw
 from sim_backends.lens import Lens
+from sim_backends.markings import marking_of
 from sim_backends.painter import Image, Painter
 from sim_backends.painter_surface import Print
 from sim_backends.parts import Part, scatter, spare_parts
@@ -28,6 +29,7 @@ from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
 from sim_backends.world import Snapshot, World
 from sim_backends.world_contacts import Collision
+from sim_backends.world_model import part_name
 
 _MODULE_PX = 20  # pixels of the printed marker per module
 
@@ -63,7 +65,9 @@ class SimulatedCell:
             np.array(imperfections.marker_shift), np.array(imperfections.marker_turn)
         )
         if laid is None:
-            laid = scatter(spec.parts, spec.seed, imperfections, spec.heights, spec.grips, spec.work_area)
+            laid = scatter(
+                spec.parts, spec.seed, imperfections, spec.heights, spec.grips, spec.work_area, spec.kinds
+            )
         script = disturbances(spec.disturb, spec.seed, spec.parts)
         spares = spare_parts(
             sum(event.kind == "add" for event in script),
@@ -166,7 +170,9 @@ class SimulatedCell:
         picture, pixel_mm = marker_picture(self.spec.marker)
         marker = Print(picture, pixel_mm, at_gripper @ self.T_tool_marker, y_up=True)
         assert link_name(len(arm.joints) - 1) in {s.body for s in world.solids if s.decal}
-        return Painter(world.solids, bodies, parts, groups, lens, look, self.spec.seed, {"marker": marker})
+        decals = {"marker": marker}
+        decals |= {part_name(i): marking_of(part) for i, part in enumerate(world.parts) if part.marking}
+        return Painter(world.solids, bodies, parts, groups, lens, look, self.spec.seed, decals)
 
 
 def marker_picture(marker: MarkerMount) -> tuple[Image, float]:

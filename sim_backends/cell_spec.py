@@ -13,7 +13,7 @@ import numpy as np
 from controller.domain import ArmDescription, Bin, Gripper, Joint, Link, ServoDynamics, Shape
 from sim_backends.arm_shape import MarkerMount
 from sim_backends.imperfections import Vector
-from sim_backends.parts import WorkArea
+from sim_backends.parts import Kind, WorkArea
 from sim_backends.solids import Array
 
 Rows = tuple[tuple[float, ...], ...]
@@ -48,6 +48,7 @@ class CellSpec:
         grips: Nominal extents between the jaws, mm.
         work_area: Where parts are scattered.
         marker: The printed marker on the gripper.
+        kinds: What kinds of parts are scattered; none for all shapes in all colours.
         overrides: Single imperfections that replace the level's, by field name.
         disturb: What happens while it works, as a wish of `disturbances`; "" for nothing.
     """
@@ -65,6 +66,7 @@ class CellSpec:
     grips: tuple[float, ...] = (36.0, 43.0, 50.0)
     work_area: WorkArea = field(default_factory=WorkArea)
     marker: MarkerMount = field(default_factory=MarkerMount)
+    kinds: tuple[Kind, ...] = ()
     overrides: Mapping[str, float | Vector] = field(default_factory=dict)
     disturb: str = ""
 
@@ -86,6 +88,7 @@ class CellSpec:
         data["bins"] = tuple(Bin(**entry) for entry in data["bins"])
         data["heights"] = {Shape(name): height for name, height in data["heights"].items()}
         data["work_area"] = WorkArea(**data["work_area"])
+        data["kinds"] = tuple(Kind(**{**entry, "shape": Shape(entry["shape"])}) for entry in data["kinds"])
         data["marker"] = MarkerMount(**data["marker"])
         return cls(**data)
 

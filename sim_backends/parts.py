@@ -34,6 +34,25 @@ _LEAST_GAP = 0.2  # mm: parts may all but touch, never overlap
 
 
 @dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of part, where a table is to hold only chosen ones.
+
+    Attributes:
+        name: What people call it.
+        shape: Any of `SHAPES`.
+        colour: A name of `COLOURS`.
+        marking: A name of `markings.MARKINGS`, or "" for a plain top.
+        grip: Nominal extent between the jaws, mm, or None for any of the cell's.
+    """
+
+    name: str
+    shape: Shape
+    colour: str
+    marking: str = ""
+    grip: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Part:
     """One upright prism as it is put on the table.
 
@@ -46,6 +65,8 @@ class Part:
         friction: Coefficient against anything.
         x, y: Where its centroid is put, in `base`, mm.
         yaw: Turn about z, rad.
+        marking: What is on its top, a name of `markings.MARKINGS`, or "".
+        kind: Name of its kind, or "".
     """
 
     shape: Shape
@@ -57,6 +78,8 @@ class Part:
     x: float
     y: float
     yaw: float
+    marking: str = ""
+    kind: str = ""
 
     @property
     def outline(self) -> Array:
@@ -142,8 +165,11 @@ def scatter(
     heights: Mapping[Shape, float],
     grips: Sequence[float],
     area_: WorkArea,
+    of: Sequence[Kind] = (),
 ) -> tuple[Part, ...]:
     """`count` parts, uniform over the work area; the same for the same seed.
+
+    With kinds in `of`, these come round in turn; without, the shapes in colours at random.
 
     When so many parts do not fit with the wanted gap, the gap shrinks in steps until they do.
 
@@ -152,9 +178,12 @@ def scatter(
     """
     random = np.random.default_rng([seed, 3])
     # Shapes come round in turn from a random start, so that a table of five has all of them.
-    start = int(random.integers(len(SHAPES)))
+    start = int(random.integers(len(of or SHAPES)))
+    wanted = [of[(start + index) % len(of)] if of else None for index in range(count)]
     kinds = [
-        _kind(random, SHAPES[(start + index) % len(SHAPES)], imperfections, heights, grips) for index in range(count)
+        _kind(random, SHAPES[(start + index) % len(SHAPES)] if kind is None else kind.shape, imperfections, heights,
+              grips if kind is None or kind.grip is None else (kind.grip,))
+        for index, kind in enumerate(wanted)
     ]
     rings = [kind[3] for kind in kinds]
     for distance in imperfections.part_gap * 0.8 ** np.arange(12) + _LEAST_GAP:
@@ -165,7 +194,13 @@ def scatter(
         if places is not None:
             return tuple(
                 Part(shape, colour, grip, heights[shape], mass, friction, x, y, yaw)
-                for (shape, colour, grip, _, mass, friction), (x, y, yaw) in zip(kinds, places, strict=True)
+                if kind is None
+                else Part(
+                    shape, kind.colour, grip, heights[shape], mass, friction, x, y, yaw, kind.marking, kind.name
+                )
+                for (shape, colour, grip, _, mass, friction), kind, (x, y, yaw) in zip(
+                    kinds, wanted, places, strict=True
+                )
             )
     raise ConfigError(f"{count} parts do not fit into the work area", "ask for fewer or smaller parts")
 

@@ -63,6 +63,7 @@ def true_parts(
                 if index in away
                 else _place(to_bins[:3, :3] @ pose[:3] + to_bins[:3, 3], index in held, bins),
                 reachable=reachable[index],
+                kind=part.kind,
             )
         )
     return tuple(out)

@@ -142,7 +142,9 @@ def part_solid(index: int, part: Part, colour: tuple[float, float, float]) -> So
     half = part.height / 2.0
     ring = part.outline
     # Long straight sides bend in the lens; the short ones of a round part need no splitting.
-    return prism(ring, -half, half, body=part_name(index), colour=colour, split=1 if len(ring) > 12 else 4)
+    name = part_name(index)
+    split = 1 if len(ring) > 12 else 4
+    return prism(ring, -half, half, body=name, colour=colour, split=split, decal=name if part.marking else "")
 
 
 def part_name(index: int) -> str:

@@ -155,6 +155,19 @@ class RuleSection(StrictModel):
         return self.size_mm is None or self.size_mm[0] <= long_side < self.size_mm[1]
 
 
+class KindSection(StrictModel):
+    """A kind of part that lies on the simulated table."""
+
+    name: str = Field(min_length=1, max_length=40)
+    """What it is called: a label that rules may ask for once it has been taught."""
+    shape: Shape
+    colour: Literal["red", "orange", "yellow", "green", "blue", "purple"]
+    marking: Literal["", "striped", "checked", "dotted", "cross", "target", "arrow"] = ""
+    """What is on its top."""
+    width_mm: float | None = Field(None, ge=10.0, le=80.0)
+    """Between the jaws; without, any of the simulated cell's widths."""
+
+
 class SortingSection(StrictModel):
     """What goes where."""
 
@@ -199,6 +212,8 @@ class CellConfig(StrictModel):
     """Heights and masses by shape; a shape not named here has `default_part`'s."""
     default_part: PartSection = PartSection(shape=Shape.OTHER, height_mm=20.0)
     bins: tuple[BinSection, ...] = Field(min_length=1)
+    simulated_kinds: tuple[KindSection, ...] = ()
+    """What lies on the simulated table; without, all shapes in all colours. A real cell ignores it."""
     sorting: SortingSection
     cycle: CycleSection = CycleSection()
     ledger: LedgerSection = LedgerSection()
@@ -217,6 +232,9 @@ class CellConfig(StrictModel):
                 close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
                 hint = f"did you mean {close[0]}? " if close else ""
                 raise ConfigError(f"{key}: there is no bin {name!r}", f"{hint}bins: {', '.join(names)}")
+        kinds = [kind.name for kind in self.simulated_kinds]
+        if len(set(kinds)) < len(kinds):
+            raise ConfigError("two simulated_kinds have the same name", "give every kind its own name")
         shapes = [part.shape for part in self.parts]
         for shape in shapes:
             if shapes.count(shape) > 1:

@@ -54,9 +54,11 @@ def error_of(part: TruePart, located: LocatedObject) -> Error:
 
 
 def right_bin(config: CellConfig, part: TruePart) -> str | None:
-    """Where the rules want a true part; a taught class is a true part's when it is called by its colour and shape."""
-    by_name = f"{part.colour} {part.shape}"
-    label = by_name if by_name in config.taught_labels else str(part.shape)
+    """Where the rules want a true part; a taught class is a true part's when it is called as its kind is, or by its
+    colour and shape.
+    """
+    names = (part.kind, f"{part.colour} {part.shape}")
+    label = next((name for name in names if name in config.taught_labels), str(part.shape))
     return config.bin_for(part.shape, label, part.size[0], part.colour)
 
 

@@ -114,7 +114,7 @@ class Session:
         """
         arm = load_arm(self._config.arm.description)
         recipe = load_recipe(self._config.vision.recipe)
-        taught = taught_classes(self._config)
+        taught = taught_classes(self._config, recipe)
         for warning in check(self._config, arm, self._planner(arm, self._by_ruler(), self._config)):
             self.options.say(f"warning: {warning}")
         folder = state_folder()
@@ -170,6 +170,8 @@ class Session:
             )
             if taught is not None:
                 ledger.note("classes", devices.clock.now(), digest=taught.digest, names=list(taught.classifier.names))
+            if recipe.model is not None:
+                ledger.note("model", devices.clock.now(), file=recipe.model.file, sha256=recipe.model.sha256)
             began, began_wall = devices.clock.now(), monotonic()
             if service is None:
                 sorter: Sorter | None = self._sort(rig)

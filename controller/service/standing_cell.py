@@ -167,11 +167,12 @@ class StandingCell:
         arm = self._standing.devices.arm.description
         for warning in check(new, arm, self._standing.planner_for(new, self._standing.by_ruler())):
             self._standing.say(f"warning: {warning}")
-        taught = taught_classes(new)
+        recipe = load_recipe(new.vision.recipe)
+        taught = taught_classes(new, recipe)
         rig = replace(
             self._rig,
             config=new,
-            recipe=load_recipe(new.vision.recipe),
+            recipe=recipe,
             planner=self._standing.planner_for(new, self._rig.calibration),
             classes=taught,
         )

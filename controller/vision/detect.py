@@ -14,6 +14,8 @@ from controller.domain import Descriptors, Detection, Frame, Shape
 from controller.geometry import PlaneMap, wrap
 from controller.vision.appearance.look import look, named
 from controller.vision.classes.taught import Taught
+from controller.vision.models import naming
+from controller.vision.models.network import network
 from controller.vision.morphology import Component
 from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
@@ -62,6 +64,7 @@ def detect(
     Raises:
         InputError: The recipe needs a picture of the empty table and got none of this size, or a gray card that
             cannot be measured; or the classes were taught in mm and there is no plane.
+        ConfigError: The recipe's trained model is not what the recipe says.
     """
     watch = Stopwatch()
     image = frame.image
@@ -75,6 +78,9 @@ def detect(
             image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
         )
         detections = [_detection(frame, item) for item in found]
+    if recipe.model is not None:
+        detections = naming.named(frame, detections, network(recipe.model))
+        watch.lap("model")
     if region is not None:
         detections = [item for item in detections if _inside(region, item.center_px)]
     detections.sort(key=lambda item: (item.center_px[1], item.center_px[0]))

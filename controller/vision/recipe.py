@@ -11,6 +11,7 @@ from controller.config.files import named_or_path
 from controller.config.loader import StrictModel, load_toml
 from controller.errors import ConfigError
 from controller.vision.appearance.settings import Appearance
+from controller.vision.models.settings import Model
 
 
 class Precise(StrictModel):
@@ -202,6 +203,8 @@ class Recipe(StrictModel):
     stages: tuple[Stage, ...] = ()
     ranges: Ranges = Ranges()
     appearance: Appearance = Appearance()
+    model: Model | None = None
+    """A trained model that names what was found."""
 
     @model_validator(mode="after")
     def _complete(self) -> Recipe:

@@ -1,0 +1,1 @@
+"""Trained models: networks in ONNX files that a recipe names, and the small one that ships."""
