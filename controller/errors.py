@@ -23,7 +23,9 @@ class SorterError(Exception):
         self.remedy = remedy
 
     def __str__(self) -> str:
-        return f"{self.cause}: {self.remedy}" if self.remedy else self.cause
+        """Cause and remedy in one line; what a file or a bus made its way into it cannot command a terminal."""
+        text = f"{self.cause}: {self.remedy}" if self.remedy else self.cause
+        return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class ConfigError(SorterError, ValueError):

@@ -12,7 +12,7 @@ import os
 import signal
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,10 @@ FAULTS = frozenset({
 """What can be scripted, by the codes of the fault catalogue."""
 
 
+_DAY = 86_400.0
+_LONGEST = {"at_s": _DAY, "occurrence": 1_000_000, "delay_s": _DAY, "duration_s": math.inf, "servo": 252}
+
+
 @dataclass(frozen=True, slots=True)
 class ScriptedFault:
     """One fault of a script.
@@ -100,7 +104,9 @@ def load_script(path: Path) -> tuple[ScriptedFault, ...]:
     return tuple(_parse(row, f"{path}: fault {number}") for number, row in enumerate(rows, 1))
 
 
-def _parse(row: Mapping[str, Any], where: str) -> ScriptedFault:
+def _parse(row: Any, where: str) -> ScriptedFault:
+    if not isinstance(row, dict):
+        raise ConfigError(f"{where}: not a [[fault]] table", "see the examples in configs/faults")
     on = row.get("on", {})
     known = {"fault", "at_s", "on", "duration_s", "servo"}, {"state", "failpoint", "occurrence", "delay_s"}
     for table, keys in ((row, known[0]), (on, known[1])):
@@ -108,7 +114,7 @@ def _parse(row: Mapping[str, Any], where: str) -> ScriptedFault:
         if unknown:
             raise ConfigError(f"{where}: unknown key {sorted(unknown)[0]!r}", f"keys: {', '.join(sorted(keys))}")
     name, at = row.get("fault"), row.get("at_s")
-    if name not in FAULTS:
+    if not isinstance(name, str) or name not in FAULTS:
         raise ConfigError(f"{where}: there is no fault {name!r}", f"faults: {', '.join(sorted(FAULTS))}")
     points = [on[key] for key in ("state", "failpoint") if key in on]
     if (at is None) + (len(points) != 1) != 1 or (at is not None and on):
@@ -118,11 +124,13 @@ def _parse(row: Mapping[str, Any], where: str) -> ScriptedFault:
             f"{where}: the cycle has no {points[0]!r}",
             f"states: {', '.join(STATES)}; failpoints: {', '.join(FAILPOINTS)}",
         )
-    numbers = {"at_s": at or 0.0, "occurrence": on.get("occurrence", 1), "delay_s": on.get("delay_s", 0.0)}
+    numbers = {"at_s": 0.0 if at is None else at, "occurrence": on.get("occurrence", 1), "delay_s": on.get("delay_s", 0.0)}
     numbers |= {"duration_s": row.get("duration_s", math.inf), "servo": row.get("servo", 0)}
     for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
-            raise ConfigError(f"{where}: {key} is {value!r}", "give a number that is not negative")
+        kind = int if key in ("occurrence", "servo") else int | float
+        if isinstance(value, bool) or not isinstance(value, kind) or not 0 <= value <= _LONGEST[key]:
+            remedy = f"give a {'whole ' if kind is int else ''}number from 0 to {_LONGEST[key]:g}"
+            raise ConfigError(f"{where}: {key} is {value!r}", remedy)
     return ScriptedFault(
         name,
         None if at is None else float(at),

@@ -10,9 +10,13 @@ from pathlib import Path
 
 import cv2
 import pytest
+from hypothesis import settings
 
 # One thread: the suite shares its processors with others, and results must not depend on their number.
 cv2.setNumThreads(1)
+
+# For the tests in tests/hostile, which try many more things with it: pytest tests/hostile --hypothesis-profile=study
+settings.register_profile("study", settings.get_profile("default"))
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 _DESCRIPTORS = Path("/proc/self/fd")
