@@ -124,8 +124,8 @@ def _parse(row: Any, where: str) -> ScriptedFault:
             f"{where}: the cycle has no {points[0]!r}",
             f"states: {', '.join(STATES)}; failpoints: {', '.join(FAILPOINTS)}",
         )
-    numbers = {"at_s": 0.0 if at is None else at, "occurrence": on.get("occurrence", 1), "delay_s": on.get("delay_s", 0.0)}
-    numbers |= {"duration_s": row.get("duration_s", math.inf), "servo": row.get("servo", 0)}
+    numbers = {"at_s": 0.0 if at is None else at, "duration_s": row.get("duration_s", math.inf)}
+    numbers |= {"occurrence": on.get("occurrence", 1), "delay_s": on.get("delay_s", 0.0), "servo": row.get("servo", 0)}
     for key, value in numbers.items():
         kind = int if key in ("occurrence", "servo") else int | float
         if isinstance(value, bool) or not isinstance(value, kind) or not 0 <= value <= _LONGEST[key]:
