@@ -275,7 +275,10 @@ def _charuco(board: Board) -> Any:
 
 
 def _find_charuco(board: Board, gray: NDArray[np.uint8]) -> tuple[Array, NDArray[np.int64]]:
-    detector = cv2.aruco.CharucoDetector(_charuco(board))
+    parameters = cv2.aruco.CharucoParameters()
+    # Small or blurred markers are missed at first; the others tell where to look again.
+    parameters.tryRefineMarkers = True
+    detector = cv2.aruco.CharucoDetector(_charuco(board), parameters)
     pixels, ids, _, markers = detector.detectBoard(gray)
     if pixels is None or ids is None or len(pixels) == 0:
         seen = 0 if markers is None else len(markers)

@@ -158,7 +158,7 @@ def solve(
 def project(points: Array, pose: Array, lens: Array) -> tuple[Array, Array]:
     """Pixels (N, 2) of board points (N, 3) and their derivative (2N, 18): pose 6, then lens 12."""
     matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
-    seen, jacobian = cv2.projectPoints(points, pose[:3], pose[3:], matrix, lens[4:12])
+    seen, jacobian = cv2.projectPoints(np.ascontiguousarray(points), pose[:3], pose[3:], matrix, lens[4:12])
     return np.asarray(seen, np.float64).reshape(-1, 2), np.asarray(jacobian, np.float64)
 
 

@@ -1,0 +1,294 @@
+"""Published figures of real cameras beside ours, on the photographs of the folder of shared data.
+
+    python -m tests.benchmarks.published
+
+Lens: RMS and focal lengths with the lens model of the source. Robot: a camera and a robot that knows its pose.
+Squares: prints of known size measured on the plane that their own middles span.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from controller.calibration.boards import T_TABLE_BOARD, BoardView, parse_board
+from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, find_views, fit_views
+from controller.calibration.hand_eye import Carried, HandEye, fit_hand_eye
+from controller.calibration.marker import refine_square
+from controller.calibration.table import board_pose, calibrate_table
+from controller.errors import CalibrationPoorFit
+from controller.geometry import CameraModel, PlaneMap, invert
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What a source says of a set.
+
+    Attributes:
+        pattern: Its pictures below `data/`.
+        board: SPEC.
+        model: The source's lens model.
+        rms: px, None where none is published.
+        focal: (fx, fy), px.
+        views: Fewest pictures that can be used.
+    """
+
+    pattern: str
+    board: str
+    model: LensModel
+    rms: float | None
+    focal: tuple[float, float]
+    views: int
+
+
+SETS = (
+    Published("opencv_stereo_chess/*.jpg", "chessboard:9x6:25", LensModel.RADIAL_3, 0.19633, (532.81, 532.93), 13),
+    Published("boofcv_bumblebee_chess/*.jpg", "chessboard:6x4:30", LensModel.RADIAL_2, 0.089, (524.61, 526.92), 11),
+    Published("boofcv_sony_targets/chess*.jpg", "chessboard:6x4:30", LensModel.RADIAL_2, 0.16, (701.01, 698.65), 13),
+    Published("boofcv_trinocular/*.jpg", "chessboard:13x9:30", LensModel.RADIAL_2, 0.099, (1839.0, 1842.0), 14),
+    Published(
+        "pycalib_charuco/*.jpg", "charuco:18x9:20:15:DICT_4X4_250", LensModel.RATIONAL, 0.3011, (586.83, 586.83), 9
+    ),
+    Published(
+        "pycalib_charuco/*.jpg", "charuco:18x9:20:15:DICT_4X4_250", LensModel.RADIAL_3, 0.322, (586.83, 586.83), 9
+    ),
+    Published("udacity_wide/*.jpg", "chessboard:9x6:25", LensModel.RADIAL_3, 0.90, (1159.0, 1154.0), 15),
+    Published("sick_metric/camera_*.png", "chessboard:any:15.09", LensModel.RADIAL_3, 0.68, (2328.0, 2330.0), 10),
+    Published(
+        "rosi_charuco_robot/charuco*.jpg",
+        "charuco:5x7:36.195:18.256:DICT_6X6_250",
+        LensModel.RADIAL_2,
+        None,
+        (1352.0, 1356.1),
+        8,
+    ),
+    Published("rosi_charuco_robot/grid*.png", "circles:10x10:25.4", LensModel.RADIAL_3, None, (542.3, 543.5), 8),
+)
+#: The tutorial's four views say nothing about the focal length.
+NOT_PINNED = "opencv_aruco_tutorial/img_*.jpg", "charuco:5x7:40:20:DICT_6X6_250:legacy"
+#: Source: square_intrinsic.yaml beside the pictures.
+SONY = CameraModel(
+    np.array([[703.0800240596807, 0.0, 324.33160122230845], [0.0, 704.7901849110278, 239.42858763512353], [0, 0, 1.0]]),
+    np.array([-0.24911457714344737, 0.03485636058344325, 0.0, 0.0, 0.0]),
+    (640, 480),
+)
+
+
+def load(shared: Path, pattern: str) -> list[tuple[str, Image]]:
+    """(name, picture) of every file, by name."""
+    paths = sorted((shared / "data").glob(pattern))
+    return [(path.name, np.asarray(cv2.imread(str(path)), np.uint8)) for path in paths]
+
+
+@cache
+def lens(shared: Path, published: Published) -> CameraCalibration:
+    """Our calibration of a set with its source's lens model."""
+    return calibrate_camera(load(shared, published.pattern), parse_board(published.board), model=published.model)
+
+
+# --- robot ----------------------------------------------------------------------------------------------
+
+
+def robot(shared: Path, kind: str) -> HandEye:
+    """The camera and the robot of `rosi_charuco_robot`, with our own lens: `charuco` (carried) or `grid` (lying)."""
+    pattern, spec, carried = {
+        "charuco": ("charuco*.jpg", "charuco:5x7:36.195:18.256:DICT_6X6_250", Carried.BOARD),
+        "grid": ("grid*.png", "circles:10x10:25.4", Carried.CAMERA),
+    }[kind]
+    folder, board = shared / "data" / "rosi_charuco_robot", parse_board(spec)
+    views, rejected = find_views(load(shared, f"rosi_charuco_robot/{pattern}"), board)
+    camera = fit_views(views, rejected, board).camera
+    poses = [robot_pose(folder / f"{Path(name).stem}_pose.yaml") for name, _ in views]
+    return fit_hand_eye([view for _, view in views], poses, camera, board, carried)
+
+
+def robot_pose(path: Path) -> Array:
+    """T_base_tool (4, 4), mm, of a file of lines `x: 0.1` (m) and `qx: 0.1`."""
+    lines = (line.split(":") for line in path.read_text().splitlines() if ":" in line)
+    value = {key.strip(): float(text) for key, text in lines}
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat([value[key] for key in ("qx", "qy", "qz", "qw")]).as_matrix()
+    out[:3, 3] = 1000.0 * np.array([value[key] for key in ("x", "y", "z")])
+    return out
+
+
+def repeatability(views: list[BoardView], camera: CameraModel) -> tuple[Array, Array]:
+    """By how much the poses from one and the other half of a view's corners differ, mm and deg, (V,) each."""
+    apart = []
+    for view in views:
+        halves = [board_pose(view.object_points[k::2], view.image_points[k::2], camera) for k in (0, 1)]
+        apart.append(invert(halves[0]) @ halves[1])
+    turned = Rotation.from_matrix(np.array(apart)[:, :3, :3]).magnitude()
+    return np.linalg.norm(np.array(apart)[:, :3, 3], axis=1), np.rad2deg(turned)
+
+
+# --- squares --------------------------------------------------------------------------------------------
+
+
+def squares(shared: Path) -> Array:
+    """Measured sides (N,) minus 30 mm, of every square of the seven pictures.
+
+    The plane is that of the twelve middles, 60 mm apart; the sides are measured on it.
+    """
+    errors = []
+    for _, image in load(shared, "boofcv_sony_targets/square_frame*.jpg"):
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        quads = np.array([refine_square(gray, quad, SONY) for quad in _quads(gray)])
+        rays = SONY.rays(quads.reshape(-1, 2))[:, :2].reshape(-1, 4, 2)
+        middles = SONY.project(np.column_stack([_diagonals(rays), np.ones(len(rays))]))
+        kept, cells = _lattice(middles)
+        quads, middles = quads[kept], middles[kept]
+        places = np.column_stack([cells * 60.0, np.zeros(len(cells))])
+        plane = PlaneMap(SONY, T_TABLE_BOARD @ invert(board_pose(places, middles, SONY)))
+        corners = plane.to_plane(quads.reshape(-1, 2)).reshape(-1, 4, 2)
+        errors.append(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel() - 30.0)
+    return np.concatenate(errors)
+
+
+def _quads(gray: Image) -> Array:
+    """Corners (N, 4, 2), px, of dark squares: in turn, of about the commonest size."""
+    dark = cv2.adaptiveThreshold(gray, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, 101, 25)
+    outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL | cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    found = []
+    for outline in outlines:
+        corners = cv2.approxPolyDP(outline, 0.06 * cv2.arcLength(outline, True), True).reshape(-1, 2)
+        area = cv2.contourArea(outline)
+        if len(corners) == 4 and area > 200 and area > 0.8 * cv2.contourArea(cv2.convexHull(outline)):
+            inside = np.zeros_like(gray)
+            cv2.fillConvexPoly(inside, corners, (255.0,))
+            if gray[inside > 0].mean() < 70.0:
+                found.append((area, corners[::-1].astype(np.float64)))
+    usual = float(np.median([area for area, _ in found]))
+    return np.array([corners for area, corners in found if 0.4 * usual < area < 2.5 * usual])
+
+
+def _diagonals(quads: Array) -> Array:
+    """Where (N, 2) the diagonals of quadrilaterals (N, 4, 2) cross: the middles of squares, perspective or not."""
+    a, b, c, d = (np.column_stack([quads[:, k], np.ones(len(quads))]) for k in range(4))
+    cross = np.cross(np.cross(a, c), np.cross(b, d))
+    return np.asarray(cross[:, :2] / cross[:, 2:])
+
+
+def _cross(a: Array, b: Array) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def _lattice(middles: Array) -> tuple[NDArray[np.int64], Array]:
+    """Which middles lie on one lattice seen in perspective, and their whole-numbered places (N, 2) on it.
+
+    Steps from neighbour to neighbour; what cannot be reached is none of the print's squares.
+    """
+    apart = middles[:, None] - middles[None]
+    far = np.linalg.norm(apart, axis=2) + 1e9 * np.eye(len(middles))
+    start = int(np.argmin(np.linalg.norm(middles - middles.mean(axis=0), axis=1)))
+    order = np.argsort(far[start])
+    first = middles[order[0]] - middles[start]
+    sine = [abs(_cross(first, middles[k] - middles[start])) / np.linalg.norm(first) / far[start, k] for k in order[:6]]
+    second = middles[order[int(np.argmax(np.array(sine) > 0.7))]] - middles[start]
+    if _cross(first, second) < 0.0:
+        second = -second
+    cells, queue = {start: np.zeros(2)}, [start]
+    while queue:
+        here = queue.pop(0)
+        for other in range(len(middles)):
+            if other in cells:
+                continue
+            step = np.linalg.solve(np.column_stack([first, second]), middles[other] - middles[here])
+            whole = np.rint(step)
+            if np.abs(whole).sum() == 1.0 and np.abs(step - whole).max() < 0.45:
+                cells[other] = cells[here] + whole
+                queue.append(other)
+    kept = np.array(sorted(cells))
+    return kept, np.array([cells[int(k)] for k in kept])
+
+
+# --- ruler ----------------------------------------------------------------------------------------------
+
+
+def ruler(shared: Path) -> float:
+    """Distance of a ruler's finest marks beside the board of `sick_metric/pose.png`, by our lens and table, mm."""
+    made = lens(shared, next(item for item in SETS if item.board == "chessboard:any:15.09"))
+    picture = load(shared, "sick_metric/pose.png")
+    table = calibrate_table(picture, made, parse_board("chessboard:any:15.09"))
+    plane = PlaneMap(made.camera, table.T_table_camera)
+    gray = cv2.cvtColor(picture[0][1], cv2.COLOR_BGR2GRAY)
+    # Along the ruler as the picture has it: its left border, from top to bottom.
+    height = gray.shape[0]
+    best = (0.0, 0.0)
+    for u in np.arange(4.0, 60.0, 4.0):
+        ends = plane.to_plane(np.array([[u, 40.0], [u + 0.075 * (height - 80.0), height - 40.0]]))
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        shares = np.arange(0.0, length, 0.05) / length
+        pixels = plane.to_pixels(ends[0] + shares[:, None] * (ends[1] - ends[0]))
+        seen = cv2.remap(gray, pixels.astype(np.float32)[:, None], np.empty(0), cv2.INTER_LINEAR)
+        profile = seen.ravel().astype(np.float64)
+        profile -= cv2.GaussianBlur(profile[:, None], (0, 0), 20.0).ravel()
+        pitches = np.arange(0.94, 1.06, 0.0005)
+        phase = np.exp(2j * np.pi * np.arange(len(profile)) * 0.05 / pitches[:, None])
+        power = np.abs(phase @ (profile * np.hanning(len(profile))))
+        peak = int(power.argmax())
+        if power[peak] > best[0]:
+            best = float(power[peak]), float(pitches[peak])
+    return best[1]
+
+
+# --- the table ------------------------------------------------------------------------------------------
+
+
+def _rows(shared: Path) -> Iterator[tuple[str, str, str, str]]:
+    for item in SETS:
+        found = lens(shared, item)
+        name = f"{item.pattern.split('/')[0]} {item.board.split(':')[0]}, {item.model}"
+        if item.rms is not None:
+            yield name, "RMS, px", f"{item.rms:.3f}", f"{found.rms_px:.3f}"
+        fx, fy = found.camera.matrix[0, 0], found.camera.matrix[1, 1]
+        off = 100.0 * max(abs(fx / item.focal[0] - 1.0), abs(fy / item.focal[1] - 1.0))
+        yield name, "fx, fy, px", "{:.1f}, {:.1f}".format(*item.focal), f"{fx:.1f}, {fy:.1f} ({off:.2f} % off)"
+        yield name, "views used, left out", "", f"{found.views_used}, {len(found.views_rejected)}"
+    try:
+        calibrate_camera(load(shared, NOT_PINNED[0]), parse_board(NOT_PINNED[1]))
+    except CalibrationPoorFit as error:
+        yield "opencv_aruco_tutorial", "four views", "", f"refused: {error.cause}"
+    for kind in ("charuco", "grid"):
+        found_robot = robot(shared, kind)
+        yield f"rosi_charuco_robot {kind}", "robot's chain, px per axis", "< 1.5", f"{found_robot.rms_px / 2**0.5:.2f}"
+        for what, values in (("mm", found_robot.apart_mm), ("deg", found_robot.apart_deg)):
+            limit = {"mm": "< 5" if kind == "charuco" else "< 20", "deg": "< 1.5" if kind == "charuco" else "< 3"}[what]
+            yield f"rosi_charuco_robot {kind}", f"view against chain, {what}", limit, f"{values.mean():.2f}"
+    board = parse_board("circles:10x10:25.4")
+    views, rejected = find_views(load(shared, "rosi_charuco_robot/grid*.png"), board)
+    mm, deg = repeatability([view for _, view in views], fit_views(views, rejected, board).camera)
+    yield "rosi_charuco_robot grid", "half against half, mm, deg", "< 10, < 2", f"{mm.mean():.2f}, {deg.mean():.2f}"
+    errors = np.abs(squares(shared))
+    yield "boofcv_sony_targets squares", "|side - 30 mm|: median", "0.35", f"{np.median(errors):.2f}"
+    yield "boofcv_sony_targets squares", "95 %", "1.0", f"{np.percentile(errors, 95):.2f} ({len(errors)} sides)"
+    yield "sick_metric ruler", "one millimetre, mm", "1.000", f"{ruler(shared):.4f}"
+
+
+def main() -> None:
+    """Print the table."""
+    if not SHARED.is_dir():
+        raise SystemExit("the folder of shared data is not beside this checkout")
+    grid = Table("set", "figure", "published or asked", "ours", box=None, pad_edge=False)
+    last = ""
+    for name, what, theirs, ours in _rows(SHARED):
+        grid.add_row("" if name == last else name, what, theirs, ours)
+        last = name
+    Console(width=140).print(grid)
+
+
+if __name__ == "__main__":
+    main()
