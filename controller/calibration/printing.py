@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration.boards import Board, BoardKind
+from controller.calibration.marker import ArmMarker
 from controller.errors import InputError
 
 Array = NDArray[np.float64]
@@ -109,8 +110,35 @@ def lay_out(board: Board) -> Sheet:
     pattern, discs = _pattern(board)
     pattern[:, :2] += middle
     discs[:, :2] += middle
-    strip, texts = _strip(board, size, beside)
+    strip, texts = _strip(board.spec, size, beside)
     return Sheet(paper, size, (middle[0], middle[1]), np.vstack([pattern, strip]), discs, texts)
+
+
+def lay_out_marker(marker: ArmMarker) -> Sheet:
+    """The page of the gripper's marker: within the line along which its plate is cut, with a ruler and its place."""
+    size = PAPERS["A4"]
+    middle = np.array([size[0] / 2, size[1] / 3])
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, marker.dictionary))
+    modules = dictionary.markerSize + 2
+    step = marker.size / modules
+    bits = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.marker_id, modules)) == 0
+    corner = middle - marker.size / 2
+    black = [(corner[0] + step * x, corner[1] + step * y, step * n, step) for x, y, n in _runs(bits)]
+    half, thin = marker.size / 2 + marker.margin, 0.2
+    side = 2 * (half + thin)
+    left, top = middle - half - thin
+    line = [(left, top, side, thin), (left, top + side - thin, side, thin)]
+    line += [(left, top, thin, side), (left + side - thin, top, thin, side)]
+    strip, texts = _strip(f"marker {marker.marker_id} of {marker.dictionary}, {marker.size:g} mm", size, False)
+    x, _, z = marker.T_tool_marker[:3, 3]
+    words = (
+        "Cut along the line and glue it onto something flat and stiff.",
+        f"It belongs on the gripper: with the arm stretched level, {-x:g} mm behind the grasp point, {z:g} mm above",
+        "it, face to the arm's base, this way up. A few mm and degrees do not matter; that it stays put does.",
+    )
+    told = tuple(Text(25.0, middle[1] + half + 12.0 + 4.5 * row, False, words[row]) for row in range(len(words)))
+    rectangles = np.vstack([np.array(black), np.array(line), strip])
+    return Sheet("A4", size, (float(middle[0]), float(middle[1])), rectangles, np.empty((0, 3)), (*texts, *told))
 
 
 def _pattern(board: Board) -> tuple[Array, Array]:
@@ -151,7 +179,7 @@ def _runs(bits: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     return [(int(s[1]), int(s[0]), int(e[1] - s[1])) for s, e in zip(starts, ends, strict=True)]
 
 
-def _strip(board: Board, size: tuple[float, float], beside: bool) -> tuple[Array, tuple[Text, ...]]:
+def _strip(name: str, size: tuple[float, float], beside: bool) -> tuple[Array, tuple[Text, ...]]:
     """Ruler and text along the lower edge of the page, or along its right one, reading upwards."""
     thin = 0.2
     # In the strip's own coordinates: s along it, t across it away from the board's side.
@@ -159,7 +187,7 @@ def _strip(board: Board, size: tuple[float, float], beside: bool) -> tuple[Array
     for mark in range(0, int(RULER) + 1, 10):
         tall = 4.5 if mark % 50 == 0 else 2.5
         bars.append((mark - thin / 2, STRIP - 1.0 - tall, thin, tall))
-    lines = [(RULER + 3.0, 2.6, _CHECK), (RULER + 3.0, 5.6, board.spec), (1.0, 1.9, "0"), (RULER - 5.5, 1.9, "100")]
+    lines = [(RULER + 3.0, 2.6, _CHECK), (RULER + 3.0, 5.6, name), (1.0, 1.9, "0"), (RULER - 5.5, 1.9, "100")]
     if not beside:
         left, top = MARGIN + 1.0, size[1] - MARGIN - STRIP
         rectangles = np.array(bars) + [left, top, 0.0, 0.0]
@@ -172,16 +200,15 @@ def _strip(board: Board, size: tuple[float, float], beside: bool) -> tuple[Array
 # --- written down -------------------------------------------------------------------------------------
 
 
-def write_board(board: Board, path: Path) -> Sheet:
-    """Write the page of a board as `.pdf` or `.png`, whole or not at all, and return it.
+def write_sheet(sheet: Sheet, path: Path) -> None:
+    """Write a page as `.pdf` or `.png`, whole or not at all.
 
     Raises:
-        InputError: The board fits no paper, the file's kind is neither, or it cannot be written.
+        InputError: The file's kind is neither, or it cannot be written.
     """
     kinds = {".pdf": pdf, ".png": png}
     if path.suffix.lower() not in kinds:
         raise InputError(f"{path}: boards are written as .pdf or .png", "end the file's name in one of them")
-    sheet = lay_out(board)
     content = kinds[path.suffix.lower()](sheet)
     fresh = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -190,7 +217,6 @@ def write_board(board: Board, path: Path) -> Sheet:
     except OSError as error:
         fresh.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written ({error.strerror})", "choose a folder you may write to") from error
-    return sheet
 
 
 def raster(sheet: Sheet, dpi: float = DPI) -> NDArray[np.uint8]:

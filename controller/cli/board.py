@@ -1,4 +1,4 @@
-"""`controller board`: a calibration board to print, with its own name and a ruler on it."""
+"""`controller board`: a calibration board, or the marker for the gripper, to print with a ruler on it."""
 
 from __future__ import annotations
 
@@ -9,24 +9,30 @@ from typing import Annotated
 import typer
 
 from controller.calibration.boards import parse_board
-from controller.calibration.printing import write_board
+from controller.calibration.marker import ArmMarker
+from controller.calibration.printing import lay_out, lay_out_marker, write_sheet
 
 
 def board(
-    spec: Annotated[
-        str, typer.Option("--board", metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")
-    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write it into FILE, .pdf or .png.")],
+    spec: Annotated[
+        str | None, typer.Option("--board", metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")
+    ] = None,
+    marker: Annotated[bool, typer.Option("--marker", help="The marker for the gripper instead of a board.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """A calibration board to print: the smallest paper of A4 and A3 that takes it, with a ruler to check its scale.
+    """A calibration board to print, or the gripper's marker: on the smallest paper that takes it, with a ruler.
 
-    Example: controller board --board charuco:10x7:28:21:DICT_5X5_100 --out board.pdf
+    Examples: controller board --board charuco:10x7:28:21:DICT_5X5_100 --out board.pdf | controller board --marker
+    --out marker.pdf
     """
-    sheet = write_board(parse_board(spec), out)
+    if (spec is None) != marker:
+        raise typer.BadParameter("name either a board with --board SPEC, or --marker")
+    sheet = lay_out_marker(ArmMarker()) if spec is None else lay_out(parse_board(spec))
+    write_sheet(sheet, out)
     if as_json:
         page = {"paper": sheet.paper, "size_mm": sheet.size, "middle_mm": [round(value, 3) for value in sheet.middle]}
-        print(json.dumps({"board": spec, "out": str(out), **page}))
+        print(json.dumps({"board": spec or "marker", "out": str(out), **page}))
         return
     way = "landscape" if sheet.size[0] > sheet.size[1] else "portrait"
     print(f"written to {out}: {sheet.paper} {way}")

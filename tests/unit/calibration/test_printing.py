@@ -12,7 +12,19 @@ import pytest
 from numpy.typing import NDArray
 
 from controller.calibration.boards import parse_board
-from controller.calibration.printing import DPI, MARGIN, RULER, Sheet, lay_out, pdf, png, raster, write_board
+from controller.calibration.marker import ArmMarker
+from controller.calibration.printing import (
+    DPI,
+    MARGIN,
+    RULER,
+    Sheet,
+    lay_out,
+    lay_out_marker,
+    pdf,
+    png,
+    raster,
+    write_sheet,
+)
 from controller.errors import InputError
 
 SPECS = (
@@ -111,7 +123,8 @@ def test_the_paper_is_the_smallest_that_takes_it() -> None:
 
 
 def test_a_png_states_its_resolution(tmp_path: Path) -> None:
-    sheet = write_board(parse_board("chessboard:5x4:20"), tmp_path / "board.png")
+    sheet = lay_out(parse_board("chessboard:5x4:20"))
+    write_sheet(sheet, tmp_path / "board.png")
     content = (tmp_path / "board.png").read_bytes()
     place = content.index(b"pHYs")
     per_metre = struct.unpack(">II", content[place + 4 : place + 12])
@@ -136,9 +149,26 @@ def test_a_pdf_is_well_formed() -> None:
 
 
 def test_other_kinds_of_file_and_unwritable_folders_are_refused(tmp_path: Path) -> None:
-    board = parse_board("chessboard:5x4:20")
+    board = lay_out(parse_board("chessboard:5x4:20"))
     with pytest.raises(InputError, match=r"\.pdf or \.png"):
-        write_board(board, tmp_path / "board.svg")
+        write_sheet(board, tmp_path / "board.svg")
     with pytest.raises(InputError, match="cannot be written"):
-        write_board(board, tmp_path / "missing" / "board.pdf")
+        write_sheet(board, tmp_path / "missing" / "board.pdf")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_grippers_marker_is_found_in_its_size_upright_with_its_white_border() -> None:
+    marker, dpi = ArmMarker(), 150.0
+    sheet = lay_out_marker(marker)
+    picture = raster(sheet, dpi)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, marker.dictionary)))
+    corners, ids, _ = detector.detectMarkers(picture)
+    assert ids is not None
+    assert ids.ravel().tolist() == [marker.marker_id]
+    half = marker.size / 2
+    wanted = np.array(sheet.middle) + [[-half, -half], [half, -half], [half, half], [-half, half]]
+    # Corners are given to about a pixel, 0.17 mm here, before refinement.
+    assert np.abs(np.asarray(corners[0])[0] * 25.4 / dpi - wanted).max() < 0.4
+    border = np.abs(sheet.rectangles[:, :2] - sheet.middle).max(axis=1)
+    outline = sheet.rectangles[(border > half + marker.margin) & (border < half + marker.margin + 1)]
+    assert len(outline) == 4  # the line to cut along, all of the white border inside it
