@@ -363,12 +363,17 @@ class Trajectory:
         positions: ndarray of shape (N, J), rad: where the joints shall be.
         goals: ndarray of shape (N, J), rad: what the servos are told, the model's offset against sag and
             lag (and the joint offsets) included.
+        resting: ndarray of shape (N, J), rad: what they are told to stand still there: sag only; None: `goals`.
+        braking: ndarray of shape (N, J), rad s: what a goal changes by when the progress along the move changes,
+            for each 1/s of it: the inertia's share; None: nothing.
     """
 
     name: str
     period: float
     positions: Array
     goals: Array
+    resting: Array | None = None
+    braking: Array | None = None
 
     @property
     def duration(self) -> float:

@@ -149,6 +149,22 @@ class Arm(Protocol):
 
 
 @runtime_checkable
+class Pausable(Protocol):
+    """An arm that can hold in the middle of a move and go on."""
+
+    def pause(self) -> None:
+        """Slow the running move down along its path and hold there, torque on, until `resume`; from any thread.
+
+        A move asked for while paused holds at its start. A grip under way ends; `request_stop` still ends a move.
+        """
+        ...
+
+    def resume(self) -> None:
+        """Go on from there; from any thread. Moves metal when a move is under way."""
+        ...
+
+
+@runtime_checkable
 class CycleSource(Protocol):
     """An arm that can be listened to while it moves."""
 

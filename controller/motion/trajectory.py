@@ -21,7 +21,7 @@ from controller.motion.path import Path, speed_limits
 PERIOD = 0.01  # s between streamed goals
 SMOOTHING = 0.04  # s: the moving average that bounds the jerk at about 2 a / 40 ms
 PAYLOAD_BLEND = 0.1  # s over which a gripped part's weight comes to the offset, and goes from it
-_GRID_STEP = 0.01  # phase
+_GRID_STEP = 0.005  # phase; twice as coarse makes moves 2 % longer, for the samples between decide
 _FINE = 0.001  # s
 _STRETCHES = 5  # tries to bring the samples under the limits, each nearer
 _TOLERANCE = 0.01  # share of a limit that the samples may exceed
@@ -137,11 +137,18 @@ def generate(
     q, qd, qdd = _along(path, phase[ahead], rate[ahead], gain[ahead])
     share = np.clip(ahead * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
     goals = q + dynamics.offset(arm, q, qd, qdd, payload[0] + (payload[1] - payload[0]) * share)
+    none = np.zeros_like(q)
+    held = payload[0] + (payload[1] - payload[0]) * np.clip(index * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
+    sag = dynamics.offset(arm, positions, none, none, held)
+    resting = positions + sag
+    speed_now = np.asarray(path.spline(phase[index], 1)) * rate[index][:, None]
+    braking = dynamics.offset(arm, positions, none, speed_now, held) - sag
     if joint_offsets is not None:
         goals += joint_offsets
-    positions.setflags(write=False)
-    goals.setflags(write=False)
-    return Trajectory(name, PERIOD, positions, goals)
+        resting += joint_offsets
+    for array in (positions, goals, resting, braking):
+        array.setflags(write=False)
+    return Trajectory(name, PERIOD, positions, goals, resting, braking)
 
 
 def _along(path: Path, phase: Array, rate: Array, gain: Array) -> tuple[Array, Array, Array]:

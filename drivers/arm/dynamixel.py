@@ -47,6 +47,7 @@ class DynamixelArm:
         self._body = Body(description, self.bus, clock)
         self._energised = False
         self._held = False
+        self._paused = False
         self._stops = 0
         self._mover: int | None = None
         self._moving = threading.Lock()
@@ -146,6 +147,14 @@ class DynamixelArm:
         """Allow motion again. Moves nothing; a move that was told to stop does not go on."""
         self._held = False
 
+    def pause(self) -> None:
+        """Slow the running move down along its path and hold there, torque on; from any thread or signal handler."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on along the path from where `pause` has held the move; from any thread."""
+        self._paused = False
+
     def _stop_watch(self) -> Callable[[], bool]:
         """Says whether a stop was asked for since now, even if it has been cleared again."""
         stops = self._stops
@@ -194,7 +203,7 @@ class DynamixelArm:
                 return MoveReport(False, state, 0.0)
             with body.watched():
                 errands = [] if opening is None else [(after, self._jaws_to(opening, state.opening))]
-                return Follower(body, trajectory, state, stop_requested, errands).run()
+                return Follower(body, trajectory, state, stop_requested, lambda: self._paused, errands).run()
 
     def _jaws_to(self, opening: float, now: float) -> Callable[[], object]:
         """Sends the jaws to an opening (mm) from the one they have, when it is called."""

@@ -31,10 +31,10 @@ AREA = np.vstack(
 def inverse_time() -> None:
     """Time of one top-down solution."""
     repeats = 5000
-    start = time.perf_counter()
+    start = time.process_time()
     for _ in range(repeats):
         kinematics.inverse(RX150, (200.0, 40.0, 20.0), roll=0.3)
-    print(f"top-down solution: {(time.perf_counter() - start) / repeats * 1e6:.0f} us")
+    print(f"top-down solution: {(time.process_time() - start) / repeats * 1e6:.0f} us")
 
 
 def cycles(count: int) -> None:
@@ -48,9 +48,9 @@ def cycles(count: int) -> None:
         radius, azimuth = math.sqrt(rng.uniform(150.0**2, 260.0**2)), rng.uniform(-50.0, 50.0)
         target = part(PARTS[k % 5], rng.uniform(34.0, 45.0), at(radius, azimuth), rng.uniform(0.0, 6.28))
         box = boxes[int(rng.integers(len(boxes)))]
-        start = time.perf_counter()
+        start = time.process_time()
         plan = planner.plan_pick(target, (), box, box.center, q, pile=0.0, view=AREA)
-        planning.append((time.perf_counter() - start) * 1e3)
+        planning.append((time.process_time() - start) * 1e3)
         motion.append([move.duration for move in plan.trajectories])
         for move in plan.trajectories:
             jerk.append(np.abs(np.diff(move.positions, 3, axis=0)).max(axis=0) / PERIOD**3)

@@ -78,6 +78,41 @@ def test_a_stop_cleared_at_once_still_ends_the_move() -> None:
 
 
 @pytest.mark.safety("SR-20")
+@pytest.mark.parametrize("at", [0.0, 0.02, 0.3, 0.55, 0.61])
+def test_a_pause_holds_anywhere_and_goes_on_to_the_same_end(at: float) -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        move = _move(bench, 0.6)
+        held: list[Array] = []
+        if at == 0.0:
+            arm.pause()
+        bench.later(at, arm.pause)
+        bench.later(at + 0.5, lambda: held.append(bench.positions()))
+        bench.later(at + 1.5, lambda: held.append(bench.positions()))
+        bench.later(at + 1.5, arm.resume)
+        bench.stream.goals.clear()
+        began = bench.plant.now()
+        report = arm.follow(move)
+        assert report.finished
+        _, ticks = _goals(bench)
+    assert np.abs(report.state.positions - move.positions[-1]).max() < STANDS
+    if at < 0.6:
+        assert bench.plant.now() - began > 0.6 + 1.3
+        assert np.abs(held[1] - held[0]).max() < 0.005
+    # Nothing is caught up: no step is larger than the move's own.
+    largest = np.abs(np.diff(move.goals[:, 0])).max() * TICKS_PER_RAD
+    assert np.diff(ticks).min() >= 0
+    assert np.diff(ticks).max() <= largest + 1
+
+
+def test_a_pause_does_not_outlive_a_stop() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        arm.pause()
+        bench.later(1.0, arm.request_stop)
+        assert not arm.follow(_move(bench)).finished
+
+
 def test_a_stop_ends_a_grip_where_the_jaws_are() -> None:
     bench = ArmBench()
     with bench.ready() as arm:

@@ -75,6 +75,26 @@ def test_a_stop_takes_its_time_and_stands() -> None:
 
 
 @pytest.mark.safety("SR-14")
+def test_a_goal_loses_its_lead_with_the_rate_and_pushes_against_the_change() -> None:
+    """0.1 of lead against lag, 0.02 of sag, and 0.03 rad s of inertia."""
+    plain = _move()
+    still = plain.positions + 0.02
+    move = Trajectory("m", PERIOD, plain.positions, still + 0.1, still, np.full_like(still, 0.03))
+    progress = _progress(move)
+    for _ in range(40):
+        progress.advance(PERIOD, stopping=False)
+    np.testing.assert_allclose(progress.goals, progress.positions + 0.12, atol=1e-12)
+    before = progress.rate
+    while not progress.standing:
+        progress.advance(PERIOD, stopping=True)
+        gain = (progress.rate - before) / PERIOD
+        wanted = progress.positions + 0.02 + 0.1 * progress.rate + 0.03 * gain
+        np.testing.assert_allclose(progress.goals, wanted, atol=1e-12)
+        before = progress.rate
+    progress.advance(PERIOD, stopping=True)
+    np.testing.assert_allclose(progress.goals, progress.positions + 0.02, atol=1e-12)
+
+
 def test_after_a_long_gap_it_starts_from_rest() -> None:
     progress = _progress(_move())
     for _ in range(40):
