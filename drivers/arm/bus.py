@@ -221,7 +221,8 @@ class Bus:
                 self.statistics.retries += attempt > 0
                 self._wait_out_late((servo_id,))
                 self._send(servo_id, instruction, parameters)
-                found = self._collect([servo_id], size)
+                # A machine that is too busy to hear an answer in time is asked again with more time.
+                found = self._collect([servo_id], size, self._latency * (1 + 2 * attempt))
                 if found:
                     error = found[0].error
                     if error & ~protocol.ALERT:
@@ -238,7 +239,9 @@ class Bus:
         head = address.to_bytes(2, "little") + size.to_bytes(2, "little")
         instruction = protocol.FAST_SYNC_READ if fast else protocol.SYNC_READ
         self._send(protocol.BROADCAST, instruction, head + bytes(servo_ids))
-        return self._collect_fast(servo_ids, size) if fast else self._collect(servo_ids, size)
+        if fast:
+            return self._collect_fast(servo_ids, size)
+        return self._collect(servo_ids, size, self._latency)
 
     def _send(self, servo_id: int, instruction: int, parameters: bytes) -> None:
         packet = protocol.instruction_packet(servo_id, instruction, parameters)
@@ -248,18 +251,17 @@ class Bus:
         self._line_free = max(self._clock.now(), self._line_free) + len(packet) * self._byte_time
         self.statistics.transactions += 1
 
-    def _collect(self, servo_ids: Sequence[int], size: int) -> list[Status]:
+    def _collect(self, servo_ids: Sequence[int], size: int, latency: float) -> list[Status]:
         """Replies of these servos with `size` bytes of data (or an error and none), until all or silence."""
         longest = 4 + size + (size + 2) // 3 + _PADS  # with every possible stuffed byte
         parser = StatusParser(longest)
         conflicts = 0
         window = _RETURN_DELAY + (protocol.STATUS_OVERHEAD + size) * self._byte_time
-        patience, impatience = window + self._latency, window + min(self._latency, _LATENCY_AGAIN)
+        patience, impatience = window + latency, window + min(latency, _LATENCY_AGAIN)
         pending = set(servo_ids)
         lately_silent = self._late.keys()
         found: dict[int, Status] = {}
-        deadline = max(self._clock.now(), self._line_free)
-        deadline += impatience if pending <= lately_silent else patience
+        deadline = max(self._clock.now(), self._line_free) + patience
         while pending:
             chunk = self._stream.read(
                 len(pending) * (protocol.STATUS_OVERHEAD + size), max(0.0, deadline - self._clock.now())
