@@ -32,11 +32,23 @@ def evaluate(
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="How many tables to sort, a seed each.")] = 10,
     parts: Annotated[int, typer.Option(min=1, max=200, help="Parts on each table.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first table.")] = 0,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="A-B", help="Seeds of the tables, both ends included; instead of the above.")
+    ] = None,
     level: Annotated[Level, typer.Option(help="How imperfect the simulated world is.")] = Level.DYNAMIC,
+    disturb: Annotated[
+        str, typer.Option(metavar="KINDS", help="slip, knock, remove, add, move, swap, hand, or all.")
+    ] = "",
+    pick_proof: Annotated[
+        bool, typer.Option("--pick-proof/--no-pick-proof", help="Off: believe every grasp, to see what the proof is worth.")
+    ] = True,
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell's TOML file.")] = None,
     arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; as many as processors unless given.")] = None,
-    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write JSON and an HTML page into DIR.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write JSON and an HTML page into DIR; tables done there are not done again."),
+    ] = None,
     compare: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Compare with the evaluation.json of another evaluation.")
     ] = None,
@@ -44,8 +56,11 @@ def evaluate(
 ) -> int:
     """Measure accuracy against truth: a simulated world's, or that of annotated pictures.
 
-    Examples: controller evaluate --sim --frames 100 --level dynamic --report evaluation |
-    controller evaluate --sim --compare evaluation/evaluation.json | controller evaluate --images photos --report seen
+    Examples: controller evaluate --sim --seeds 0-99 --report evaluation |
+    controller evaluate --sim --no-pick-proof --compare evaluation/evaluation.json | controller evaluate --sim
+    --disturb all | controller evaluate --images photos --report seen
+
+    An evaluation that was cut off goes on where it was when the same command is given again.
     """
     if context.invoked_subcommand is not None:
         return 0
@@ -63,11 +78,22 @@ def evaluate(
         "config": None if config is None else str(config),
         "level": str(level),
         "parts_per_table": parts,
-        "first_seed": seed,
+        "disturb": disturb,
+        "pick_proof": pick_proof,
+        "config_digest": cell.digest,
     }
-    tables = [Job(cell, parts, number, level) for number in range(seed, seed + frames)]
-    processes = min(jobs or len(os.sched_getaffinity(0)), frames)
+    numbers = range(seed, seed + frames) if seeds is None else _seeds(seeds)
+    tables = [Job(cell, parts, number, level, disturb, pick_proof) for number in numbers]
+    processes = min(jobs or len(os.sched_getaffinity(0)), len(tables))
     return evaluate_sim(head, tables, processes, report, compare, as_json)
+
+
+def _seeds(text: str) -> range:
+    first, dash, last = text.partition("-")
+    last = last if dash else first
+    if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise typer.BadParameter("give --seeds as A-B, for instance 0-99")
+    return range(int(first), int(last) + 1)
 
 
 def add_to(app: typer.Typer) -> None:

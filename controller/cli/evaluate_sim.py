@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +20,7 @@ from typing import Any
 import cv2
 from rich.table import Table
 
+from controller import __version__
 from controller.backends import Level, Mode
 from controller.cli.output import stderr, stdout
 from controller.config.cell import CellConfig
@@ -100,17 +103,29 @@ def evaluate_sim(
         as_json: Print JSON.
     """
     old = _figures_of(compare) if compare is not None else None
-    if report is not None:
-        report.mkdir(parents=True, exist_ok=True)
-    records = []
+    diary = None if report is None else _Diary(report, head)
+    records = [] if diary is None else diary.done([job.seed for job in jobs])
+    done = {record["seed"] for record in records}
     console = stderr()
-    for record in _sorted(jobs, processes):
-        records.append(record)
-        console.print(
-            f"{len(records):4d} of {len(jobs)}  {_line(record)}", highlight=False, markup=False, soft_wrap=True
-        )
+    if done:
+        console.print(f"{len(done)} tables are done already, in {report}", highlight=False)
+    interrupted = False
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        for record in _sorted([job for job in jobs if job.seed not in done], processes):
+            records.append(record)
+            if diary is not None:
+                diary.add(record)
+            console.print(
+                f"{len(records):4d} of {len(jobs)}  {_line(record)}", highlight=False, markup=False, soft_wrap=True
+            )
+    except (KeyboardInterrupt, BrokenProcessPool):
+        interrupted = True
+        console.print("interrupted: what is done is reported; the same command goes on from here", highlight=False)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     records.sort(key=lambda record: int(record["seed"]))
-    figures = summary(head, records)
+    figures = summary({**head, "seeds": _span([record["seed"] for record in records])}, records)
     if report is not None:
         text = json.dumps({"summary": figures, "runs": records})
         (report / "evaluation.json").write_text(text + "\n", encoding="utf-8")
@@ -120,7 +135,51 @@ def evaluate_sim(
         print(json.dumps(figures))
     else:
         _print(figures, old, report)
-    return 1 if figures["broken_runs"] else 0
+    return 130 if interrupted else 1 if figures["broken_runs"] else 0
+
+
+class _Diary:
+    """The records of an evaluation as they are made, so that one that was cut off can go on.
+
+    Args:
+        folder: Where it is kept.
+        head: What is run: records of anything else are not taken over.
+    """
+
+    def __init__(self, folder: Path, head: Mapping[str, Any]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / "runs.jsonl"
+        self._head = json.loads(json.dumps({**head, "version": __version__}))
+
+    def done(self, seeds: Sequence[int]) -> list[Record]:
+        """Records of these seeds that are there already; what belongs to another evaluation is thrown away."""
+        lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.is_file() else []
+        if not lines or _read(lines[0]) != self._head:
+            self._path.write_text(json.dumps(self._head) + "\n", encoding="utf-8")
+            return []
+        # The last line may have been cut off with the process that wrote it.
+        found = {record["seed"]: record for record in map(_read, lines[1:]) if record is not None}
+        return [found[seed] for seed in seeds if seed in found and "error" not in found[seed]]
+
+    def add(self, record: Record) -> None:
+        """Keep a record."""
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+
+
+def _read(line: str) -> Record | None:
+    try:
+        found: Record = json.loads(line)
+    except ValueError:
+        return None
+    return found
+
+
+def _span(seeds: Sequence[int]) -> str:
+    """Sorted seeds in words: `0-99`, or one by one where some are missing."""
+    if seeds and len(seeds) == seeds[-1] - seeds[0] + 1:
+        return f"{seeds[0]}-{seeds[-1]}"
+    return " ".join(map(str, seeds))
 
 
 def _sorted(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
