@@ -40,7 +40,7 @@ def evaluate(
         str, typer.Option(metavar="KINDS", help="slip, knock, remove, add, move, swap, hand, or all.")
     ] = "",
     pick_proof: Annotated[
-        bool, typer.Option("--pick-proof/--no-pick-proof", help="Off: believe every grasp, to see what the proof is worth.")
+        bool, typer.Option("--pick-proof/--no-pick-proof", help="Off: believe every grasp; shows its worth.")
     ] = True,
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell's TOML file.")] = None,
     arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 from controller.cycle.rig import Rig
 from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
-from controller.domain import Array, LocatedObject, PickPlan, Shape
+from controller.domain import Array, LocatedObject, NudgePlan, PickPlan, Shape
 from controller.errors import NoClearGrasp, PlanError
 from controller.geometry import transform
 from controller.motion.planner import Planner
 
 _SURE = 0.8
 """Of two candidates of which only one is this sure, that one comes first, however far it is."""
+
+
+NUDGES = 3
+"""Pushes for the sake of one part: what three did not free, a fourth will not."""
 
 
 class Chooser:
@@ -104,6 +108,28 @@ class Chooser:
             target = self._book.choose(thing, self._rig.clock.now())
             target.plan = plan
             self._others = others
+            return target, plan
+        return None
+
+    def nudge(self, planner: Planner, start: Array, climb: float) -> tuple[Target, NudgePlan] | None:
+        """A push that makes room for one of those that are blocked, or None.
+
+        Args:
+            planner: Plans it.
+            start: ndarray of shape (J,): where the arm stands, rad.
+            climb: See `Planner.plan_pick`.
+        """
+        outline = self._rig.config.work_area_outline(self._rig.calibration.T_base_table)
+        for thing in self.blocked:
+            target = self._book.choose(thing, self._rig.clock.now())
+            if target.nudges >= NUDGES:
+                continue
+            try:
+                plan = planner.plan_nudge(thing, self._apart_from(thing), outline, start, climb=climb)
+            except PlanError:
+                continue
+            self._charge()
+            target.nudges += 1
             return target, plan
         return None
 

@@ -38,6 +38,7 @@ TRANSITIONS: list[dict[str, Any]] = [
     {"trigger": "located", "source": State.LOCALIZE, "dest": State.PICK},
     {"trigger": "emptied", "source": [State.LOCALIZE, State.PICK], "dest": State.IDLE},
     {"trigger": "picked", "source": State.PICK, "dest": State.PLACE},
+    {"trigger": "nudged", "source": State.PICK, "dest": State.CAPTURE},
     {"trigger": "missed", "source": State.PICK, "dest": State.CAPTURE},
     {"trigger": "placed", "source": State.PLACE, "dest": State.CAPTURE},
     {"trigger": "continued", "source": State.PLACE, "dest": State.PICK},

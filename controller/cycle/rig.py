@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from controller.config.cell import CellConfig
 from controller.cycle.machine import State
-from controller.domain import CellCalibration, Detection, Frame, LocatedObject, Outcome, PickPlan
+from controller.domain import CellCalibration, Detection, Frame, LocatedObject, NudgePlan, Outcome, PickPlan
 from controller.errors import SorterError
 from controller.motion.planner import Planner
 from controller.ports import Arm, Camera, Clock, Ledger
@@ -46,6 +46,12 @@ class Observer:
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """Motion for a target began."""
+
+    def nudging(self, plan: NudgePlan) -> None:
+        """The jaws are about to push a part to make room."""
+
+    def nudged(self, plan: NudgePlan) -> None:
+        """They have."""
 
     def worked_ahead(self, began: float, ended: float) -> None:
         """A look was worked out while the arm was placing: from when to when by its budget, s of the cell's clock."""

@@ -236,7 +236,7 @@ class Sorter:
             self._chooser.anew()
             chosen = self._next()
         if chosen is None:
-            return self._emptied()
+            return "nudged" if self._nudge() else self._emptied()
         target, plan = chosen
         for observer in self.rig.observers:
             observer.planned(plan)
@@ -314,6 +314,29 @@ class Sorter:
             report = motions.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
             refusal = proof.refusal(report, plan.grasp) if self.rig.pick_proof else None
         return refusal
+
+    def _nudge(self) -> bool:
+        """Push a part or its neighbour so that the jaws find room at the next look; False when no push helps."""
+        motions = self._motions
+        chosen = self._chooser.nudge(motions.planner, self.rig.arm.state().positions, motions.climb)
+        if chosen is None:
+            return False
+        _, plan = chosen
+        self.rig.ledger.note("nudge", self.rig.clock.now(), center=plan.moved.center, by=plan.by)
+        self._overcome(LedgerError)
+        for observer in self.rig.observers:
+            observer.nudging(plan)
+        out_of_bin = motions.planner.rise_time(plan.approach, motions.climb) if motions.climb else 0.0
+        motions.retreat = None
+        arrival = motions.follow(plan.approach, plan.opening, out_of_bin)
+        if proof.obstruction(arrival, plan.approach) is None:
+            motions.follow(plan.push)
+            motions.follow(plan.retreat)
+        else:
+            motions.home()
+        for observer in self.rig.observers:
+            observer.nudged(plan)
+        return True
 
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:
         """Let go of whatever it is, and go where the camera sees all."""

@@ -35,6 +35,7 @@ class Target:
         attempts: How often motion was started for it.
         plan: The last plan.
         lost: It left its place without arriving: it may lie anywhere.
+        nudges: How often something was pushed to make room for it.
         rests_until: So many targets must have their outcome before it is tried again.
     """
 
@@ -45,6 +46,7 @@ class Target:
     plan: PickPlan | None = None
     lost: bool = False
     reason: str = ""
+    nudges: int = 0
     rests_until: int = 0
 
 
@@ -112,7 +114,7 @@ class TargetBook:
                 continue
             if distance > SAME_PLACE_MM:
                 newcomer = all(math.dist(thing.center, old) > SAME_PLACE_MM for old in self._previous)
-                if not (target.attempts and newcomer):
+                if not ((target.attempts or target.nudges) and newcomer):
                     continue
             if distance < best_distance:
                 best, best_distance = index, distance

@@ -24,6 +24,7 @@ TOTALS = (
     "phantoms",
     "collisions",
     "attempts",
+    "nudges",
     "first_try",
 )
 """Figures of single runs that are added up."""

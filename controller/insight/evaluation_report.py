@@ -25,6 +25,7 @@ _NAMES = {
     "phantoms": "attempts at what was no part",
     "collisions": "touches of what should not be touched",
     "attempts": "attempts",
+    "nudges": "pushes to make room for the jaws",
     "first_try": "sorted at the first attempt",
     "localization_error_mm": "error of the located centre, mm",
     "orientation_error_deg": "error of the orientation modulo the symmetry, degrees",
@@ -136,8 +137,8 @@ def _failures(figures: Mapping[str, Any], records: Sequence[Record]) -> list[str
 def command(figures: Mapping[str, Any]) -> str:
     """The command line that makes these figures again."""
     return (
-        f"controller evaluate --sim --frames {figures['runs']} --parts {figures['parts_per_table']} "
-        f"--seed {figures['first_seed']} --level {figures['level']}{_extra(figures)}"
+        f"controller evaluate --sim --seeds {figures['seeds']} --parts {figures['parts_per_table']} "
+        f"--level {figures['level']}{'' if figures.get('pick_proof', True) else ' --no-pick-proof'}{_extra(figures)}"
     )
 
 
@@ -151,6 +152,7 @@ def replay(figures: Mapping[str, Any], seed: int) -> str:
 
 def _extra(figures: Mapping[str, Any]) -> str:
     config = f" --config {figures['config']}" if figures.get("config") else ""
+    config += f" --disturb '{figures['disturb']}'" if figures.get("disturb") else ""
     return config + (f" --arm {figures['arm']}" if figures.get("arm_given") else "")
 
 

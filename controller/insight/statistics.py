@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from controller.config.cell import CellConfig
 from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer
-from controller.domain import LocatedObject, Outcome, PickPlan, Result, TruePart
+from controller.domain import LocatedObject, NudgePlan, Outcome, PickPlan, Result, TruePart
 from controller.geometry import angle_difference
 from controller.ports import Truth
 
@@ -75,6 +75,8 @@ class Statistics(Observer):
         self._truth = truth
         self.outcomes: list[Outcome] = []
         self.attempts = 0
+        self.nudges = 0
+        self._touches_before = self._touches_meant = 0
         self.errors: list[Error] = []
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
@@ -84,6 +86,16 @@ class Statistics(Observer):
             part = nearest(self._truth.at(plan.target.detection.frame.captured_at), plan.target)
             if part is not None:
                 self.errors.append(error_of(part, plan.target))
+
+    def nudging(self, plan: NudgePlan) -> None:
+        """Count the push, and what it is about to touch apart from collisions."""
+        self.nudges += 1
+        self._touches_before = 0 if self._truth is None else self._truth.collisions()
+
+    def nudged(self, plan: NudgePlan) -> None:
+        """The push is over."""
+        if self._truth is not None:
+            self._touches_meant += self._truth.collisions() - self._touches_before
 
     def concluded(self, outcome: Outcome) -> None:
         """Keep the outcome."""
@@ -105,6 +117,7 @@ class Statistics(Observer):
             "dropped": count[Result.DROPPED],
             "indeterminate": count[Result.INDETERMINATE],
             "attempts": self.attempts,
+            "nudges": self.nudges,
             "first_try": sum(
                 outcome.attempts == 1 and outcome.result in (Result.PLACED, Result.REJECTED)
                 for outcome in self.outcomes
@@ -163,7 +176,7 @@ class Statistics(Observer):
             "correct": verdicts["correct"],
             "missorted": verdicts["missorted"],
             "silent": verdicts["silent"],
-            "collisions": self._truth.collisions(),
+            "collisions": self._truth.collisions() - self._touches_meant,
             "localization_error_mm": spread([e.position for e in self.errors], ("mean", "p95", "max")),
             "orientation_error_deg": spread(
                 [math.degrees(e.angle) for e in self.errors if e.angle is not None], ("mean", "p95")

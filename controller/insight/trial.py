@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from controller.backends import Devices
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Look, Observer
-from controller.domain import Outcome, PickPlan, Point, Result, TruePart
+from controller.domain import NudgePlan, Outcome, PickPlan, Point, Result, TruePart
 from controller.errors import SorterError
 from controller.insight.report import annotated
 from controller.insight.statistics import error_of, nearest, right_bin
@@ -57,6 +57,7 @@ class Trial(Observer):
     _touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     _disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     _holds: list[Record] = field(default_factory=list)
+    _nudges: list[Record] = field(default_factory=list)
     _timeline: Timeline = field(default_factory=Timeline)
     _looks: list[Look] = field(default_factory=list)
     _seen: list[Record] = field(default_factory=list)
@@ -128,6 +129,14 @@ class Trial(Observer):
         """Remember the outcome."""
         self._outcomes.append(outcome)
 
+    def nudging(self, plan: NudgePlan) -> None:
+        """Remember what is pushed."""
+        self._nudges.append({"touches": [len(self._touches())], "moved": str(plan.moved.shape), "by": list(plan.by)})
+
+    def nudged(self, plan: NudgePlan) -> None:
+        """What it touched is no collision."""
+        self._nudges[-1]["touches"].append(len(self._touches()))
+
     def held(self, cause: SorterError, at: float) -> None:
         """Remember what the cell held for."""
         self._holds.append({"at_s": round(at, 3), "cause": str(cause)})
@@ -163,7 +172,8 @@ class Trial(Observer):
             "outcomes": [self._outcome_json(outcome, final) for outcome in self._outcomes],
             "disturbed": [{"at_s": at, "kind": kind} for at, kind in self._disturbed()],
             "holds": self._holds,
-            "touches": [{"at_s": round(at, 3), "what": what} for at, what in self._touches()],
+            "nudges": self._nudges,
+            "touches": [{"at_s": round(at, 3), "what": what} for at, what in self._collisions()],
             "spans": [asdict(span) for span in self._timeline.spans],
             "failures": self._failures(final),
         }
@@ -217,7 +227,7 @@ class Trial(Observer):
             look = next((i for i, look in enumerate(self._looks) if look.frame is frame), len(self._looks) - 1)
             center = outcome.target.detection.center_px
             found.append(self._failure(verdict, outcome.reason, outcome.finished_at, look, center))
-        found += [self._touch(at, what) for at, what in self._touches()]
+        found += [self._touch(at, what) for at, what in self._collisions()]
         if self._looks:
             last = len(self._looks) - 1
             at = self._looks[last].frame.captured_at
@@ -228,6 +238,12 @@ class Trial(Observer):
                     text += "" if part.reachable else ", out of reach from the start"
                     found.append(self._failure(f"left: {part.place}", text, at, last, self._pixel(part.center)))
         return sorted(found, key=lambda failure: float(failure["at_s"]))
+
+    def _collisions(self) -> list[tuple[float, str]]:
+        """Touches that were not meant."""
+        touches = self._touches()
+        meant = {n for nudge in self._nudges for n in range(*[*nudge["touches"], len(touches)][:2])}
+        return [touch for number, touch in enumerate(touches) if number not in meant]
 
     def _touch(self, at: float, what: str) -> Record:
         attempt = next((a for a in reversed(self._attempts) if a.at <= at), None)

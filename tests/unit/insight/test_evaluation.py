@@ -107,7 +107,7 @@ def test_a_comparison_shows_what_differs() -> None:
 
 
 def test_the_page_shows_every_failure_with_the_command_that_repeats_it() -> None:
-    head = {"arm": "reactorx_150", "level": "static", "parts_per_table": 1, "first_seed": 7, "config": None}
+    head = {"arm": "reactorx_150", "level": "static", "parts_per_table": 1, "seeds": "7-7", "config": None}
     bad = record(7, correct=0, missorted=1)
     bad["failures"] = [{"kind": "missorted", "text": "a <square> in circles", "at_s": 3.0, "before": "QUJD"}]
     records = [bad]
