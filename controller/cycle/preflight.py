@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
-from controller.config.cell import CellConfig
-from controller.domain import ArmDescription
+import math
+from collections.abc import Mapping, Sequence
+
+from controller.config.cell import CellConfig, RuleSection
+from controller.domain import ArmDescription, Gripper, Shape
 from controller.errors import ConfigError
+from controller.motion.grasps import OPENING_MARGINS
 from controller.motion.planner import Planner
+
+_ACROSS: Mapping[Shape | None, float] = {
+    Shape.SQUARE: 1.0,
+    Shape.CIRCLE: 1.0,
+    Shape.HEXAGON: math.sqrt(3.0) / 2.0,
+    Shape.TRIANGLE: math.sqrt(3.0) / 2.0,
+}
+"""Extent between the jaws over the long side that rules speak of, for shapes whose one side tells the other."""
 
 
 def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str]:
@@ -33,8 +45,76 @@ def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str
     warnings = []
     used = {rule.bin for rule in config.sorting.rules} | {config.sorting.otherwise}
     warnings += [f"bin {bin_.name} is named by no rule" for bin_ in config.bins if bin_.name not in used]
-    rules = config.sorting.rules
-    for index, rule in enumerate(rules[:-1]):
-        if rule.shape is None and rule.label is None and rule.size_mm is None:
-            warnings.append(f"sorting.rules[{index}] matches everything: the rules after it never do")
+    for index, rule in enumerate(config.sorting.rules):
+        warnings += [f"sorting.rules[{index}] {what}" for what in _oddities(index, rule, config.sorting.rules)]
+        misfit = _misfit(rule, arm.gripper)
+        warnings += [f"sorting.rules[{index}] {misfit}"] if misfit else []
     return warnings
+
+
+def _oddities(index: int, rule: RuleSection, rules: Sequence[RuleSection]) -> list[str]:
+    """What is odd about a rule beside those before it, which decide first."""
+    if rule.shape is not None and rule.label in set(Shape) - {rule.shape}:
+        return [f"never matches: nothing is a {rule.shape} and a {rule.label}"]
+    before = list(enumerate(rules[:index]))
+    hiding = [(i, other) for i, other in before if _speaks_of_all(other, rule)]
+    if _covers([_sizes(other) for _, other in hiding], _sizes(rule)):
+        names = " and ".join(f"sorting.rules[{i}]" for i, other in hiding if _meet(_sizes(other), _sizes(rule)))
+        return [f"never matches: {names} {'decides' if ' and ' not in names else 'decide'} first"]
+    found = []
+    for i, other in before:
+        common = _meet(_sizes(other), _sizes(rule))
+        if common and other.bin != rule.bin and rule.size_mm and other.size_mm and _speak_of_the_same(other, rule):
+            low, high = common
+            found.append(f"overlaps sorting.rules[{i}] from {low:g} to {high:g} mm: those parts go to {other.bin}")
+    return found
+
+
+def _speaks_of_all(wide: RuleSection, narrow: RuleSection) -> bool:
+    """Whether a rule, sizes apart, matches all that another one matches."""
+    return all(
+        asked is None or asked == given
+        for asked, given in ((wide.shape, narrow.shape), (wide.label, narrow.label), (wide.colour, narrow.colour))
+    )
+
+
+def _speak_of_the_same(a: RuleSection, b: RuleSection) -> bool:
+    """Whether some part, sizes apart, matches both rules."""
+    pairs = ((a.shape, b.shape), (a.label, b.label), (a.colour, b.colour))
+    return all(x is None or y is None or x == y for x, y in pairs)
+
+
+def _sizes(rule: RuleSection) -> tuple[float, float]:
+    return rule.size_mm if rule.size_mm is not None else (0.0, math.inf)
+
+
+def _meet(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float] | None:
+    low, high = max(a[0], b[0]), min(a[1], b[1])
+    return (low, high) if low < high else None
+
+
+def _covers(ranges: Sequence[tuple[float, float]], wanted: tuple[float, float]) -> bool:
+    """Whether ranges [from, to) together leave nothing of another one."""
+    reached = wanted[0]
+    for low, high in sorted(ranges):
+        if low <= reached:
+            reached = max(reached, high)
+    return reached >= wanted[1]
+
+
+def _misfit(rule: RuleSection, gripper: Gripper) -> str | None:
+    """Why the jaws cannot take what a rule asks for, as far as its sizes tell, or None."""
+    if rule.size_mm is None:
+        return None
+    narrowest, widest = gripper.opening[0], gripper.opening[1] - 2.0 * OPENING_MARGINS[-1]
+    low, high = (side * _ACROSS.get(rule.shape, 1.0) for side in rule.size_mm)
+    if high <= narrowest:
+        return f"asks for parts of at most {high:.0f} mm between the jaws, which close to {narrowest:.0f} mm only"
+    if rule.shape in _ACROSS:
+        if low > widest:
+            return f"asks for parts of {low:.0f} mm between the jaws and more, which take {widest:.0f} mm at most"
+        if high > widest + 1e-9:
+            return f"asks for parts of up to {high:.0f} mm between the jaws: those over {widest:.0f} mm are left"
+        if low < narrowest - 1e-9:
+            return f"asks for parts from {low:.0f} mm between the jaws: those under {narrowest:.0f} mm are left"
+    return None

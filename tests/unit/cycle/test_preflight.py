@@ -1,0 +1,73 @@
+"""What `config check` says of rules that never match, overlap, or ask for what the jaws cannot take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from controller.config.arm import load_arm
+from controller.config.cell import CellConfig, RuleSection, load_cell
+from controller.config.files import shipped
+from controller.cycle.preflight import check
+from controller.domain import ArmDescription
+
+
+class Willing:
+    """A planner that reaches everything."""
+
+    def bin_error(self, bin_: object) -> None:
+        """No error."""
+
+
+def warnings(*rules: dict[str, Any]) -> list[str]:
+    config: CellConfig = load_cell(shipped("sim.toml"))
+    sorting = config.sorting.model_copy(update={"rules": tuple(RuleSection.model_validate(rule, strict=False) for rule in rules)})
+    arm: ArmDescription = load_arm("reactorx_150")
+    found = check(config.model_copy(update={"sorting": sorting}), arm, Willing())  # type: ignore[arg-type]  # a stand-in
+    return [line for line in found if not line.startswith("bin ")]
+
+
+def test_the_shipped_cells_have_nothing_odd() -> None:
+    config = load_cell(shipped("sim.toml"))
+    assert check(config, load_arm("reactorx_150"), Willing()) == []  # type: ignore[arg-type]  # a stand-in
+
+
+@pytest.mark.parametrize(
+    ("rules", "said"),
+    [
+        ([{"bin": "squares"}, {"bin": "circles", "shape": "circle"}], "[1] never matches: sorting.rules[0] decides"),
+        ([{"bin": "squares", "shape": "circle", "label": "square"}], "rules[0] never matches: nothing is"),
+        (
+            [
+                {"bin": "squares", "size_mm": (0, 40)},
+                {"bin": "circles", "size_mm": (40, 80)},
+                {"bin": "hexagons", "shape": "hexagon", "size_mm": (30, 60)},
+            ],
+            "rules[2] never matches: sorting.rules[0] and sorting.rules[1] decide",
+        ),
+        (
+            [{"bin": "squares", "size_mm": (30, 45)}, {"bin": "circles", "size_mm": (40, 60)}],
+            "rules[1] overlaps sorting.rules[0] from 40 to 45 mm: those parts go to squares",
+        ),
+        ([{"bin": "squares", "shape": "square", "size_mm": (100, 120)}], "of 100 mm between the jaws and more"),
+        ([{"bin": "squares", "shape": "square", "size_mm": (5, 15)}], "at most 15 mm between the jaws"),
+        ([{"bin": "squares", "shape": "square", "size_mm": (40, 90)}], "are left"),
+    ],
+)
+def test_odd_rules_are_named(rules: list[dict[str, Any]], said: str) -> None:
+    assert any(said in line for line in warnings(*rules)), warnings(*rules)
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        [{"bin": "squares", "colour": "red"}, {"bin": "circles", "colour": "blue"}, {"bin": "hexagons"}],
+        [{"bin": "squares", "size_mm": (40, 45)}, {"bin": "circles", "size_mm": (45, 50)}],
+        [{"bin": "squares", "shape": "square", "size_mm": (40, 50)}, {"bin": "circles", "size_mm": (40, 45)}],
+        [{"bin": "squares", "shape": "square", "size_mm": (40, 50)}, {"bin": "squares", "size_mm": (30, 60)}],
+    ],
+)
+def test_sound_rules_are_not(rules: list[dict[str, Any]]) -> None:
+    said = [line for line in warnings(*rules) if "never" in line]
+    assert said == []
