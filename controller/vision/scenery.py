@@ -26,6 +26,8 @@ _POINTS = 12_000  # so many still pixels pin the four unknowns down to hundredth
 _SMOOTH = 1.0  # px of the reduced picture; takes the noise and makes gradients linear over a step
 _ROUNDS = 12
 _DONE = 1e-3  # px of the reduced picture
+# The arm's shadow falls elsewhere in every look: what is only darker by as much is still the same scenery.
+_SHADED = 0.6
 _SAME = 4.0  # of 255: noise and grain of the reduced picture stay below
 # The share of the still points, those of the strongest edges, by which sharpness is judged: bin walls, not the table's
 # grain or noise.
@@ -41,8 +43,8 @@ class Change:
 
     Attributes:
         displacement: Root mean square over the still pixels of how far they have moved, px of the full picture.
-        agreement: Part of the still pixels that look as in the reference after undoing that move; low when the
-            view is another one or covered, and the displacement then means nothing.
+        agreement: Part of the still pixels that look as in the reference, or shaded, after undoing that move; low when
+            the view is another one or covered, and the displacement then means nothing.
         brightness: Median ratio to the reference.
         sharpness: How strong the reference's strongest edges are in this picture, median ratio, brightness taken out.
     """
@@ -145,7 +147,8 @@ class Scenery:
         edges = self._seen(_edge_strength(levelled), move)[self._edges]
         sharpness = float(np.median(edges / self._strength))
         dx, dy = self._displacement(move)
-        return Change(float(np.sqrt(np.mean(dx**2 + dy**2))) * _SCALE, kept, brightness, sharpness)
+        agreement = max(kept, self._shown(levelled, move))
+        return Change(float(np.sqrt(np.mean(dx**2 + dy**2))) * _SCALE, agreement, brightness, sharpness)
 
     def _settle(
         self, picture: Gray, move: NDArray[np.float64], weigh: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -164,6 +167,11 @@ class Scenery:
     def _explained(self, picture: Gray, move: NDArray[np.float64]) -> float:
         """The part of the still points that look as in the reference after undoing a move."""
         return float(np.mean(np.abs(self._seen(picture, move) - self._wanted) < _SAME))
+
+    def _shown(self, picture: Gray, move: NDArray[np.float64]) -> float:
+        """The part of the still pixels that look as in the reference, or as in a shadow."""
+        seen = self._seen(picture, move)
+        return float(np.mean((seen > _SHADED * self._wanted - _SAME) & (seen < self._wanted / _SHADED + _SAME)))
 
     def _displacement(self, move: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         shift_x, shift_y, turn, growth = move

@@ -22,7 +22,8 @@ class Willing:
 
 def warnings(*rules: dict[str, Any]) -> list[str]:
     config: CellConfig = load_cell(shipped("sim.toml"))
-    sorting = config.sorting.model_copy(update={"rules": tuple(RuleSection.model_validate(rule, strict=False) for rule in rules)})
+    made = tuple(RuleSection.model_validate(rule, strict=False) for rule in rules)
+    sorting = config.sorting.model_copy(update={"rules": made})
     arm: ArmDescription = load_arm("reactorx_150")
     found = check(config.model_copy(update={"sorting": sorting}), arm, Willing())  # type: ignore[arg-type]  # a stand-in
     return [line for line in found if not line.startswith("bin ")]
