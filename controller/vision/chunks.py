@@ -20,9 +20,9 @@ PARAMETERS = 8
 _CORNER = 1.6
 """Samples closer than this many blurs to another side see a rounded corner, not an edge."""
 _THREE = np.arange(3)
-_SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6, 8)}
-_BEFORE = {n: np.arange(-1, n - 1) for n in (3, 4, 6, 8)}
-_AFTER = {n: np.arange(1, n + 1) % n for n in (3, 4, 6, 8)}
+_SIDE = {n: np.repeat(np.arange(n), CHUNKS // n) for n in (3, 4, 6)}
+_BEFORE = {n: np.arange(-1, n - 1) for n in (3, 4, 6)}
+_AFTER = {n: np.arange(1, n + 1) % n for n in (3, 4, 6)}
 
 
 @dataclass(slots=True, eq=False)

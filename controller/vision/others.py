@@ -32,8 +32,8 @@ def other_objects(
     smallest: float,
     *,
     whole: Sequence[int],
-) -> tuple[list[tuple[Floats, float]], set[int]]:
-    """Outlines (N, 2), px, and scores of objects that no known outline explains.
+) -> tuple[list[tuple[Floats, float, float]], set[int]]:
+    """Outlines (N, 2), px, scores and contrasts (levels) of objects that no known outline explains.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8.
@@ -42,7 +42,7 @@ def other_objects(
         factor: How many times smaller the searched image is.
         known: Outlines already accepted, px.
         hidden: Which of them are pieces of one colour with something else.
-        blur: Typical blur of the frame's edges, px.
+        blur: Typical blur of the frame's edges, px; 0 when nothing tells.
         minimum_contrast: Smallest step believed, levels.
         smallest: Smallest width worth reporting, px.
         whole: Which of `known` are certainly no pieces: what sticks out beside them is a shadow or a side face.
@@ -51,9 +51,9 @@ def other_objects(
         The objects, and which of `known` are only pieces of them.
     """
     candidates = [
-        item.contour.astype(np.float64) * factor + (factor - 1) / 2.0
+        (item.contour.astype(np.float64) * factor + (factor - 1) / 2.0, item.core)
         for item in sorted(regions, key=lambda item: item.area)
-        if item.cue in ("level", "chroma") and item.core and item.area * factor**2 >= 0.5 * smallest**2
+        if item.cue in ("level", "chroma") and item.area * factor**2 >= 0.5 * smallest**2
     ]
     middles = np.array([outline.mean(axis=0) for outline in known]).reshape(-1, 2)
     low = np.array([outline.min(axis=0) for outline in known]).reshape(-1, 2)
@@ -61,7 +61,7 @@ def other_objects(
     areas = [abs(float(cv2.contourArea(outline.astype(np.float32)))) for outline in known]
     certain = set(whole)
     kept: list[tuple[Floats, set[int]]] = []
-    for contour in candidates:
+    for contour, core in candidates:
         polygon = contour.astype(np.float32)
         covered = abs(float(cv2.contourArea(polygon)))
         around = (middles >= polygon.min(axis=0)) & (middles <= polygon.max(axis=0))
@@ -70,6 +70,8 @@ def other_objects(
         joined = _aligned([known[i] for i in inside if i in hidden])
         if (total > 0.85 * covered and not joined) or any(i in certain for i in inside):
             continue
+        if not core and total > 0.3 * covered:
+            continue
         middle = _middle(polygon)
         over = [int(i) for i in np.flatnonzero(((low <= middle) & (high >= middle)).all(axis=1))]
         if any(i not in inside and _contains(known[i].astype(np.float32), middle) for i in over):
@@ -77,11 +79,11 @@ def other_objects(
         kept.append((contour, set(inside)))
     if not kept:
         return [], set()
-    outlines, seen, sharp = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
-    chosen: list[tuple[Floats, float]] = []
+    outlines, seen, sharp, levels = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
+    chosen: list[tuple[Floats, float, float]] = []
     merged: set[int] = set()
-    order = sorted(zip(outlines, seen, sharp, kept, strict=True), key=lambda item: -item[1].mean())
-    for outline, edge, strict, (_, pieces) in order:
+    order = sorted(zip(outlines, seen, sharp, kept, levels, strict=True), key=lambda item: _place(item[0], item[2]))
+    for outline, edge, strict, (_, pieces), contrast in order:
         polygon = outline.astype(np.float32)
         # Where the picture ends there is no edge to be seen.
         height, width = image.shape[:2]
@@ -91,18 +93,31 @@ def other_objects(
         if pieces:
             # What sticks out beyond known shapes must be sharp by itself: a shadow is not.
             free = _away(outline, [known[i] for i in pieces])
-            share = min(share, float(strict[free].mean()) if free.sum() > 4 else 0.0)
-        if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest:
+            sharp_share = float(strict[free].mean()) if free.sum() > 4 else 0.0
+            # A known shape without an edge to the rest, as the head of a bolt, is a piece: the rest may be rough.
+            share = min(share, max(sharp_share, _SEEN if sharp_share > 0.6 and pieces <= set(hidden) else 0.0))
+        own = abs(float(cv2.contourArea(polygon)))
+        if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest or own < 0.5 * smallest**2:
             continue
         # Two cues may both propose it.
         if any(
             _contains(polygon, _middle(o.astype(np.float32))) or _contains(o.astype(np.float32), _middle(polygon))
-            for o, _ in chosen
+            for o, _, _ in chosen
         ):
             continue
-        chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN)))
+        chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN), contrast))
         merged |= pieces
     return chosen, merged
+
+
+def _place(outline: Floats, strict: NDArray[np.bool_]) -> tuple[bool, float]:
+    """Of outlines of one thing those that are sharp nearly everywhere come first, the largest of them before all.
+
+    What lies within an object, its glints and dark sides, is sharp as well; a shadow around it is not.
+    """
+    share = float(strict.mean())
+    clear = share > 0.9 * _SEEN
+    return not clear, -abs(float(cv2.contourArea(outline.astype(np.float32)))) if clear else -share
 
 
 def _away(points: Floats, outlines: list[Floats]) -> NDArray[np.bool_]:
@@ -135,8 +150,8 @@ def _middle(polygon: NDArray[np.float32]) -> Floats:
 
 def _on_edges(
     image: NDArray[np.uint8], noise: Floats, contours: list[Floats], blur: float, minimum_contrast: float
-) -> tuple[list[Floats], list[NDArray[np.bool_]], list[NDArray[np.bool_]]]:
-    """Contours moved onto the nearest edge, at which of their points there is one, and where it is a sharp one."""
+) -> tuple[list[Floats], list[NDArray[np.bool_]], list[NDArray[np.bool_]], list[float]]:
+    """Contours moved onto the nearest edge, where there is one and where a sharp one, and their contrasts, levels."""
     count = len(contours)
     points = np.stack([_even(contour) for contour in contours])
     ahead, back = np.roll(points, -1, axis=1), np.roll(points, 1, axis=1)
@@ -160,13 +175,15 @@ def _on_edges(
     level = math.sqrt(float(noise.trace()) / 3.0)
     clear = height * np.sqrt(profiles.lines) > 6.0
     clear &= height * level > minimum_contrast
+    if blur <= 0.0:
+        blur = float(np.median(width[clear])) if clear.any() else 1.0
     seen = clear & (width < 2.2 * max(blur, 0.7) + 0.6)
     sharp = clear & (width < 1.5 * max(blur, 0.7) + 0.4)
     at = (best + 1 - (_COLUMNS - 1) / 2.0) * spacing
     at = np.where(seen, at, 0.0)
-    at = np.median(np.stack([np.roll(at, i, axis=1) for i in (-1, 0, 1)]), axis=0)
+    at = np.median(np.stack([np.roll(at, i, axis=1) for i in (-2, -1, 0, 1, 2)]), axis=0)
     moved = points + at[..., None] * normal
-    return list(moved), list(seen), list(sharp)
+    return list(moved), list(seen), list(sharp), [float(v) for v in np.median(height, axis=1) * level]
 
 
 def _even(contour: Floats) -> Floats:

@@ -107,7 +107,10 @@ def _edge_energy(difference: Floats32) -> Floats32:
 
 
 def _components(image: Floats32, level: float, smallest: float, cue: str, known: Known) -> list[Region]:
-    """Regions above `level`, and within each the one above half of its own strength."""
+    """Regions above `level`, and within each what lies above half and above a fifth of its own strength.
+
+    Half is where the edge of an evenly coloured object lies; a fifth holds objects with glints and dark sides.
+    """
     mask = _unknown(np.asarray(cv2.threshold(image, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8), known)
     if mask is None:
         return []
@@ -118,11 +121,15 @@ def _components(image: Floats32, level: float, smallest: float, cue: str, known:
     names = flat[inside]
     squared = values * values
     own = np.bincount(names, squared * values, count) / np.maximum(np.bincount(names, squared, count), 1e-9)
-    half = np.where(np.bincount(names, minlength=count) >= smallest, 0.5 * own, np.inf).astype(np.float32)
-    half[0] = np.inf
-    core = np.zeros(mask.shape, np.uint8)
-    core.ravel()[inside] = values > half[names]
-    return _contours(core, smallest, cue, core=True) + _contours(mask, smallest, cue)
+    own = np.where(np.bincount(names, minlength=count) >= smallest, own, np.inf).astype(np.float32)
+    own[0] = np.inf
+    relative = values / own[names]
+    core, soft = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.uint8)
+    core.ravel()[inside] = relative > 0.5
+    soft.ravel()[inside] = relative > 0.2
+    return (
+        _contours(core, smallest, cue, core=True) + _contours(soft, smallest, cue) + _contours(mask, smallest, cue)
+    )
 
 
 def _edge_regions(edges: Floats32, smallest: float, known: Known) -> list[Region]:

@@ -81,8 +81,11 @@ class Scene:
     def strengths(self, outline: Floats, *shares: float) -> Floats:
         """Whitened difference from the table (N, 3) at an outline's points shrunk to each share about its middle."""
         middle = outline.mean(axis=0)
-        shrunk = np.multiply.outer(np.array(shares), outline - middle).reshape(-1, 2) + middle
-        places = np.rint((shrunk - (self.factor - 1) / 2.0) / self.factor).astype(np.intp)
+        return self.differences(np.multiply.outer(np.array(shares), outline - middle).reshape(-1, 2) + middle)
+
+    def differences(self, points: Floats) -> Floats:
+        """Whitened difference from the table (N, 3) at points (N, 2), px."""
+        places = np.rint((points - (self.factor - 1) / 2.0) / self.factor).astype(np.intp)
         rows, columns = self.white.difference.shape[:2]
         x = np.minimum(np.maximum(places[:, 0], 0), columns - 1)
         y = np.minimum(np.maximum(places[:, 1], 0), rows - 1)
@@ -116,6 +119,17 @@ def sampled(outline: Floats, count: int = 32) -> Floats:
     return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
 
 
+def outside(outline: Floats, distance: float, count: int = 32) -> Floats:
+    """`count` points at a distance, px, outside a closed convex outline."""
+    points = sampled(outline, count)
+    along = rotated(points) - np.concatenate([points[-1:], points[:-1]])
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    if np.sum((points - points.mean(axis=0)) * normal) < 0.0:
+        normal = -normal
+    return np.asarray(points + distance * normal)
+
+
 def neighbours(items: Sequence[Judged]) -> NDArray[np.bool_]:
     """Whose boxes meet, shape (K, K)."""
     box = np.array([item.box for item in items]).reshape(-1, 4)
@@ -136,5 +150,13 @@ def overlap(a: Floats, b: Floats) -> float:
     if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
         return 0.0
     pa, pb = a.astype(np.float32), b.astype(np.float32)
+    areas = abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))
     common, _ = cv2.intersectConvexConvex(pa, pb)
-    return float(common) / max(1.0, min(abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))))
+    if common < 0.02 * min(areas):
+        # OpenCV finds nothing in common between outlines that nearly coincide; points of the smaller one tell.
+        small, large = (pa, pb) if areas[0] <= areas[1] else (pb, pa)
+        middle = small.mean(axis=0)
+        inner = np.concatenate([middle + share * (small - middle) for share in (0.3, 0.6, 0.9)])
+        inside = [cv2.pointPolygonTest(large, (float(x), float(y)), False) > 0.0 for x, y in inner]
+        return float(np.mean(inside)) if np.mean(inside) > 0.1 else 0.0
+    return float(common) / max(1.0, min(areas))

@@ -1,22 +1,33 @@
-"""Which of the refined outlines stay: the better of rivals, no patches of table, no shadows, no octagons."""
+"""Which of the refined outlines stay: the better of rivals, no patches of table, prints, shadows or stains."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.chunks import chunk_middles
-from controller.vision.refine import refine
-from controller.vision.scene import Judged, Scene, neighbours, sampled, shared
-from controller.vision.shapes import CIRCLE, OCTAGON
+from controller.vision.scene import Judged, Scene, neighbours, outside, sampled, shared
+from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import reaches
+from controller.vision.wear import another_shape, many_sided
 
 Floats = NDArray[np.float64]
 
+WORN = 4.0
+"""How many times the misfit allowed by the recipe a worn outline may have."""
+_SURROUNDED = 0.4
+"""Share of the surroundings of a part that must be table, shadow or other parts."""
+_FILLED, _ALONE, _ALONE_POLYGON = 0.93, 0.85, 0.97
+"""Shares of a worn part's rim that must be no table, and of its surroundings that must be.
+
+A polygon's surroundings must be nearly all: where one side goes on, it is the shank of a bolt.
+"""
+_MORE = 0.06
+"""Share of its surroundings that may be as strong as the part itself: more is a piece of something larger."""
 _TORN = 0.13
 """Share of an outline that may run elsewhere without a neighbour to blame."""
 _TABLE = 2.3
@@ -29,7 +40,7 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     Of nested outlines that fit equally well the outer one is the object and the inner one a hole or a print;
     where side faces show it is the other way round, unless the inner one is much smaller: the inner one is the top.
     """
-    good = [item for item in judged if item.badness <= 1.0 and not _table_like(scene, item)]
+    good = [item for item in judged if _believable(scene, item) and not _table_like(scene, item)]
     blurs = [item.refined.blur for item in good]
     if blurs:
         # Shadows and glare have softer edges than the objects of the same frame.
@@ -61,10 +72,10 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         if not any(meets[best, j] and shared(good[best], good[j]) > 0.15 for j in chosen):
             chosen.append(best)
     accepted = [good[i] for i in chosen]
-    accepted = _without_octagons(scene, accepted)
     if scene.sides:
         return _without_shadows(scene, accepted)
     accepted = [item for item in accepted if not _strays(scene, item, accepted)]
+    accepted = [item for item in accepted if _lies_on_table(scene, item, accepted)]
     typical = float(np.median(blurs)) if blurs else 0.0
     return [item for item in accepted if not _shadow_strip(scene, item, accepted, typical)]
 
@@ -78,28 +89,80 @@ def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: floa
     return any(np.mean([cv2.pointPolygonTest(o, point, True) > -4.0 for point in points]) > 0.12 for o in larger)
 
 
-def _without_octagons(scene: Scene, accepted: list[Judged]) -> list[Judged]:
-    """Outlines without the circles that an octagon explains better; only circles with some misfit are asked."""
-    suspects = [item for item in accepted if item.hypothesis.family is CIRCLE and item.refined.chi > 3.0]
-    starts = []
-    for item in suspects:
-        turns = (np.arange(len(item.refined.strays)) + 0.5) * 2.0 * math.pi / len(item.refined.strays)
-        # Corners stick out of the circle; normals lie half way between them.
-        corner = float(np.angle(np.sum(item.refined.strays * item.refined.seen * np.exp(8j * turns)))) / 8.0
-        q = np.array([*item.refined.q[:2], 0.973 * item.refined.q[2], corner + math.pi / 8.0])
-        starts.append(replace(item.hypothesis, family=OCTAGON, q=q))
-    refined = refine(
-        scene.image, scene.noise, [h.family for h in starts], [h.q for h in starts], scene.maps,
-        [h.region for h in starts],
-        float(np.median([item.refined.blur for item in suspects])) if suspects else 1.0,
-        restarts=0,
-    )  # fmt: skip
-    octagons = {
-        id(item)
-        for item, r in zip(suspects, refined, strict=True)
-        if r is not None and r.visible > 0.8 and r.chi < 0.5 * item.refined.chi
-    }
-    return [item for item in accepted if id(item) not in octagons]
+def _believable(scene: Scene, item: Judged) -> bool:
+    """Whether an outline is its shape, though perhaps a worn one."""
+    if item.hypothesis.family is CIRCLE and item.refined.chi > 3.0 and many_sided(item.refined):
+        return False
+    if item.badness <= 1.0:
+        return True
+    family = item.hypothesis.family
+    worn = item.badness < (WORN if family is CIRCLE else 0.5 * WORN) and item.refined.visible > 0.85
+    alone = _ALONE if family is CIRCLE else _ALONE_POLYGON
+    worn = worn and not another_shape(family, item.refined, math.sqrt(item.area))
+    return worn and stands_alone(scene, item.outline, alone)
+
+
+def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
+    """Whether an outline is surrounded by table, shadow and other objects: no print, glint or hole of something."""
+    points = outside(item.outline, 3.0 + 2.0 * scene.factor + 2.0 * item.refined.blur)
+    difference = scene.differences(points)
+    strength = np.sqrt(np.vecdot(difference, difference))
+    rim = scene.strengths(sampled(item.outline), 0.85)
+    own = float(np.median(np.sqrt(np.vecdot(rim, rim))))
+    height, width = scene.image.shape[:2]
+    good = strength < max(2.0 * scene.settings.level, 0.25 * own)
+    good |= _shaded(scene, difference)
+    good |= (points < 0.0).any(axis=1) | (points[:, 0] > width - 1) | (points[:, 1] > height - 1)
+    if good.mean() > _SURROUNDED:
+        return True
+    others = [other.outline.astype(np.float32) for other in accepted if other is not item]
+    rest = [(float(x), float(y)) for x, y in points[~good]]
+    covered = sum(any(cv2.pointPolygonTest(o, point, False) > 0.0 for o in others) for point in rest)
+    return bool(good.sum() + covered > _SURROUNDED * len(points))
+
+
+def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
+    """Whether an outline separates something that fills it from the table around it."""
+    difference = scene.strengths(sampled(outline), 0.93, 0.8)
+    strength = np.sqrt(np.vecdot(difference, difference))
+    filled = strength > scene.settings.level
+    around = scene.differences(outside(outline, 3.0 + 3.0 * scene.factor))
+    faint = max(2.0 * scene.settings.level, 0.3 * float(np.median(strength)))
+    beyond = np.sqrt(np.vecdot(around, around))
+    table = (beyond < faint) | (_shaded(scene, around) & (beyond < 0.5 * float(np.median(strength))))
+    more = beyond > 0.6 * float(np.median(strength))
+    return bool(filled.mean() > _FILLED and table.mean() >= least and more.mean() < _MORE)
+
+
+def dirt(item: Judged, accepted: Sequence[Judged], others: Sequence[tuple[float, float]]) -> bool:
+    """Whether an outline is a stain or a crumb beside real parts: far fainter than they are, and vague or tiny.
+
+    Args:
+        item: The outline.
+        accepted: All outlines of known shape.
+        others: Areas, px^2, and contrasts, levels, of objects of no known shape.
+    """
+    own = abs(float(cv2.contourArea(item.outline.astype(np.float32))))
+    known = [other for other in accepted if other is not item]
+    parts = [(abs(float(cv2.contourArea(other.outline.astype(np.float32)))), other.refined.levels) for other in known]
+    larger = np.array([part for part in [*parts, *others] if part[0] > own])
+    if not len(larger):
+        return False
+    size, levels = np.median(larger, axis=0)
+    faint, small = item.refined.levels / levels, own / size
+    soft = bool(known) and item.refined.blur > 1.4 * float(np.median([other.refined.blur for other in known]))
+    vague = soft or item.refined.visible < 0.95
+    return bool(faint < 0.06 or (faint < 0.1 and vague) or (small < 0.06 and faint < 0.35) or (small < 0.1 and soft))
+
+
+def _shaded(scene: Scene, difference: Floats) -> NDArray[np.bool_]:
+    """Which whitened differences (N, 3) are the table's colour, only darker."""
+    table = scene.white.whitener @ scene.white.table_colour
+    length = max(float(np.linalg.norm(table)), 1e-9)
+    along = difference @ table / length
+    rest = difference - along[:, None] * (table / length)
+    across = np.sqrt(np.vecdot(rest, rest))
+    return np.asarray((across < 4.0 + 0.1 * np.abs(along)) & (-0.7 * length < along) & (along < 0.0))
 
 
 def _strays(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
@@ -132,12 +195,7 @@ def _table_like(scene: Scene, item: Judged) -> bool:
 
 def _shadow_like(scene: Scene, item: Judged) -> bool:
     """Whether the rim inside an outline is the table's colour, only darker."""
-    rim = np.median(scene.strengths(sampled(item.outline), 0.85), axis=0)
-    table = scene.white.whitener @ scene.white.table_colour
-    length = max(float(np.linalg.norm(table)), 1e-9)
-    along = float(rim @ table) / length
-    across = float(np.linalg.norm(rim - along * table / length))
-    return across < 4.0 + 0.1 * abs(along) and -0.7 * length < along < 0.0
+    return bool(_shaded(scene, np.median(scene.strengths(sampled(item.outline), 0.85), axis=0)[None])[0])
 
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:

@@ -60,8 +60,6 @@ CIRCLE = Family(Shape.CIRCLE, np.empty(0), np.empty(0, np.intp), np.empty(0, np.
 HEXAGON = _polygon(Shape.HEXAGON, 6, [0] * 6, [0] * 6)
 RECTANGLE = _polygon(Shape.RECTANGLE, 4, [0, 1, 0, 1], [0] * 4)
 TRIANGLE = _polygon(Shape.TRIANGLE, 3, [0, 1, 2], [0, 1, 2], moves=False)
-OCTAGON = _polygon(Shape.OTHER, 8, [0] * 8, [0] * 8)
-"""Nearest to a circle of all polygons seen in practice: fitted only to be told from one."""
 FAMILIES: Mapping[Shape, Family] = {family.shape: family for family in (CIRCLE, HEXAGON, RECTANGLE, TRIANGLE)}
 
 
@@ -165,8 +163,6 @@ def area(family: Family, q: Floats) -> Floats:
         return np.asarray(math.pi * q[:, 2] ** 2)
     if family is HEXAGON:
         return np.asarray(2.0 * math.sqrt(3.0) * q[:, 2] ** 2)
-    if family is OCTAGON:
-        return np.asarray(8.0 * math.tan(math.pi / 8.0) * q[:, 2] ** 2)
     if family is RECTANGLE:
         return np.asarray(4.0 * q[:, 2] * q[:, 3])
     # Three lines at distances h from a point, with angles g between their normals: (h . sin g)^2 / (2 product sin g).

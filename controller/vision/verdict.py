@@ -13,10 +13,11 @@ from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.others import other_objects
 from controller.vision.scene import Found, Judged, Scene, overlap, whole
-from controller.vision.selection import has_hole, select
+from controller.vision.selection import WORN, dirt, has_hole, select, stands_alone
 from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, vertices
 from controller.vision.silhouette import measure, reaches
 from controller.vision.timing import Stopwatch
+from controller.vision.wear import round_outline
 
 Floats = NDArray[np.float64]
 
@@ -26,23 +27,44 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     found = [_found(scene, item) for item in accepted]
     watch.lap("judge")
     if scene.settings.others:
-        blur = float(np.median([item.refined.blur for item in accepted])) if accepted else 1.0
-        hidden = [i for i, item in enumerate(accepted) if _merged(scene, item)]
+        blur = float(np.median([item.refined.blur for item in accepted])) if accepted else 0.0
+        hidden = [i for i, item in enumerate(accepted) if _merged(item)]
         others, merged = other_objects(
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
             scene.settings.minimum_contrast, scene.settings.smallest_px,
             whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item)],
         )  # fmt: skip
+        bigger = [(abs(float(cv2.contourArea(o.astype(np.float32)))), levels) for o, _, levels in others]
+        merged |= {i for i, item in enumerate(accepted) if dirt(item, accepted, bigger)} if not scene.sides else set()
         found = [item for i, item in enumerate(found) if i not in merged]
-        found = [item for item in found if not any(_part_of(item, outline) for outline, _ in others)]
-        for outline, score in others:
+        found = [item for item in found if not any(_part_of(item, outline) for outline, _, _ in others)]
+        for outline, score, _ in others:
             flags = _border(outline, scene.image.shape)
+            disc = _worn_disc(scene, outline)
+            if disc is not None:
+                found.append(disc)
+                continue
             found.append(Found(Shape.OTHER, score, outline, outline, _centroid(outline), None, flags))
         watch.lap("others")
     if scene.sides and scene.plane is not None:
         found = _with_sides(scene.image, scene.noise, found, scene.plane)
         watch.lap("sides")
     return found
+
+
+def _worn_disc(scene: Scene, outline: Floats) -> Found | None:
+    """The disc that an outline of no known shape is, when glints, dark sides and wear alone make it another."""
+    if scene.sides:
+        return None
+    disc = round_outline(outline, 0.5 * scene.factor)
+    if disc is None:
+        return None
+    center, radius = disc
+    ring = vertices(CIRCLE, np.array([*center, radius]))
+    if not stands_alone(scene, ring):
+        return None
+    flags = _border(ring, scene.image.shape) | ({"hole"} if has_hole(scene, ring) else set())
+    return Found(Shape.CIRCLE, 0.5, ring, ring, center, 2.0 * radius, flags)
 
 
 def _part_of(item: Found, outline: Floats) -> bool:
@@ -52,9 +74,9 @@ def _part_of(item: Found, outline: Floats) -> bool:
     return small and cv2.pointPolygonTest(polygon, (float(item.center[0]), float(item.center[1])), False) > 0.0
 
 
-def _merged(scene: Scene, item: Judged) -> bool:
+def _merged(item: Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    return scene.regions[item.hypothesis.region].cue == "split" and float(item.refined.faint.mean()) > 0.08
+    return float(item.refined.faint.mean()) > 0.08
 
 
 def _found(scene: Scene, item: Judged) -> Found:
@@ -68,7 +90,8 @@ def _found(scene: Scene, item: Judged) -> Found:
         diameter = 2.0 * float(q[2])
         if scene.plane is not None:
             diameter = 2.0 * math.sqrt(abs(cv2.contourArea(item.outline.astype(np.float32))) / math.pi)
-    score = float(np.clip(1.0 - 0.35 * item.badness**2, 0.0, 1.0) * min(1.0, item.refined.visible / 0.95))
+    fit = 1.0 - 0.35 * item.badness**2 if item.badness < 1.0 else 0.65 - 0.15 * (item.badness - 1.0) / (WORN - 1.0)
+    score = float(max(fit, 0.0) * min(1.0, item.refined.visible / 0.95))
     flags = _border(item.outline, scene.image.shape)
     if has_hole(scene, item.outline):
         flags |= {"hole"}

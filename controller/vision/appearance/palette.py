@@ -18,7 +18,7 @@ PALETTE: Mapping[str, tuple[str, ...]] = {
     "red": ("c41e23", "961419", "e63c32", "6e0a0f", "dc4b41", "f0745f", "ff0000"),
     "orange": ("eb7814", "fa9632", "d75f19", "ff6a00", "eba57d"),
     "yellow": ("f0cd28", "d2b41e", "fae66e", "ffc846", "ffff00"),
-    "green": ("329646", "1e6428", "5ac85a", "8cc83c", "00e646", "1e6e5f", "6b7a2c", "a8d8a0"),
+    "green": ("329646", "1e6428", "5ac85a", "8cc83c", "00e646", "1e6e5f", "6b7a2c", "a8d8a0", "1f4e50"),
     "cyan": ("00bec8", "46d2dc", "1496a5", "8ce1e6", "00ffff"),
     "blue": ("1e46be", "2868be", "141e6e", "3c8ceb", "78aae6", "0000ff", "0a2a50", "4682b4"),
     "purple": ("783296", "551e6e", "a05abe", "7a3a92", "b496d7", "6a3ab0"),
