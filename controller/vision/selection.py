@@ -96,8 +96,9 @@ def _believable(scene: Scene, item: Judged) -> bool:
     if item.badness <= 1.0:
         return True
     family = item.hypothesis.family
-    worn = item.badness < (WORN if family is CIRCLE else 0.5 * WORN) and item.refined.visible > 0.85
-    alone = _ALONE if family is CIRCLE else _ALONE_POLYGON
+    round_ = family is CIRCLE
+    worn = item.badness < (WORN if round_ else 0.4 * WORN) and item.refined.visible > (0.7 if round_ else 0.92)
+    alone = _ALONE if round_ else _ALONE_POLYGON
     worn = worn and not another_shape(family, item.refined, math.sqrt(item.area))
     return worn and stands_alone(scene, item.outline, alone)
 

@@ -102,10 +102,18 @@ def _patterned(strays: Floats, seen: NDArray[np.bool_]) -> bool:
 
 
 def _power(strays: Floats) -> Floats:
-    """Power in every harmonic from 0 to half the number of chunks."""
-    power = 2.0 * np.abs(_WAVES @ strays) ** 2
+    """Power in every harmonic from 0 to half the number of chunks, of what is common: a contact strays far but once."""
+    common = _common(strays)
+    power = 2.0 * np.abs(_WAVES @ common) ** 2
     power[-1] *= 0.5
     return np.asarray(power)
+
+
+def _common(strays: Floats) -> Floats:
+    """Strays with those that are far larger than most cut short."""
+    limit = 2.5 * float(np.median(np.abs(strays)))
+    kept = np.clip(strays, -limit, limit) if limit > 0.0 else strays
+    return np.asarray(kept - kept.mean())
 
 
 def _repeated(power: Floats, fold: int) -> float:
@@ -118,6 +126,10 @@ def many_sided(refined: Refined) -> bool:
     """Whether what leaves a circle, little as it is, repeats itself four to eight times around it."""
     seen = refined.seen
     strays = np.where(seen, refined.strays - refined.strays[seen].mean(), 0.0)
+    # chi measures strays in units of their own deviation.
+    deviation = math.sqrt(float(np.sort(strays**2)[: round(0.9 * CHUNKS)].mean()) / max(refined.chi, 1e-9))
+    if float(np.sqrt(np.mean(_common(strays) ** 2))) < 1.5 * deviation:
+        return False
     power = _power(strays)
     # What the fit has down-weighted of an octagon's corners leaks into the neighbouring harmonics.
     if power[8] == power.max() and float(power[7:10].sum()) > 0.55 * float(power.sum()):
