@@ -104,7 +104,7 @@ def _alone(strength: Floats32, level: float, smallest: float) -> list[Region]:
         area = cv2.contourArea(contour) + rim
         if area < smallest or area < _CONVEX * (cv2.contourArea(cv2.convexHull(contour)) + rim):
             continue
-        out.append(Region(contour[:, 0].astype(np.float32), area, "level", 1.0, core=True))
+        out.append(Region(contour[:, 0].astype(np.float32), area, "alone", 1.0, core=True))
     return out
 
 

@@ -35,7 +35,7 @@ class Region:
     Attributes:
         contour: ndarray of shape (N, 2), dtype float32, its outer boundary in pixels of the searched image.
         area: Its area there.
-        cue: `level`, `chroma`, `edge` or `split`.
+        cue: `alone`, `level`, `chroma`, `edge`, `zone` or `split`.
         convex: The region's area over its hull's.
         core: It is what lies above half of the strength of its surroundings, not all that stands out.
     """

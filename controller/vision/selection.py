@@ -91,7 +91,7 @@ def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: floa
 
 def _believable(scene: Scene, item: Judged) -> bool:
     """Whether an outline is its shape, though perhaps a worn one."""
-    if item.hypothesis.family is CIRCLE and item.refined.chi > 3.0 and many_sided(item.refined):
+    if item.hypothesis.family is CIRCLE and item.badness > 0.25 and item.refined.chi > 3.0 and many_sided(item.refined):
         return False
     if item.badness <= 1.0:
         return True
@@ -105,6 +105,8 @@ def _believable(scene: Scene, item: Judged) -> bool:
 
 def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     """Whether an outline is surrounded by table, shadow and other objects: no print, glint or hole of something."""
+    if scene.regions[item.hypothesis.region].cue == "alone":
+        return True
     points = outside(item.outline, 3.0 + 2.0 * scene.factor + 2.0 * item.refined.blur)
     difference = scene.differences(points)
     strength = np.sqrt(np.vecdot(difference, difference))
@@ -135,25 +137,28 @@ def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
     return bool(filled.mean() > _FILLED and table.mean() >= least and more.mean() < _MORE)
 
 
-def dirt(item: Judged, accepted: Sequence[Judged], others: Sequence[tuple[float, float]]) -> bool:
-    """Whether an outline is a stain or a crumb beside real parts: far fainter than they are, and vague or tiny.
+def stains(accepted: Sequence[Judged], others: Sequence[tuple[float, float]]) -> set[int]:
+    """Which outlines are stains or crumbs beside real parts: far fainter than larger things, and vague or tiny.
 
     Args:
-        item: The outline.
         accepted: All outlines of known shape.
         others: Areas, px^2, and contrasts, levels, of objects of no known shape.
     """
-    own = abs(float(cv2.contourArea(item.outline.astype(np.float32))))
-    known = [other for other in accepted if other is not item]
-    parts = [(abs(float(cv2.contourArea(other.outline.astype(np.float32)))), other.refined.levels) for other in known]
-    larger = np.array([part for part in [*parts, *others] if part[0] > own])
-    if not len(larger):
-        return False
-    size, levels = np.median(larger, axis=0)
-    faint, small = item.refined.levels / levels, own / size
-    soft = bool(known) and item.refined.blur > 1.4 * float(np.median([other.refined.blur for other in known]))
-    vague = soft or item.refined.visible < 0.95
-    return bool(faint < 0.06 or (faint < 0.1 and vague) or (small < 0.06 and faint < 0.35) or (small < 0.1 and soft))
+    known = [(abs(float(cv2.contourArea(item.outline.astype(np.float32)))), item.refined.levels) for item in accepted]
+    sizes, levels = np.array([*known, *others]).reshape(-1, 2).T
+    blurs = np.array([item.refined.blur for item in accepted])
+    out = set()
+    for i, item in enumerate(accepted):
+        larger = sizes > sizes[i]
+        # Nothing is a stain that is not faint or small.
+        if not larger.any() or (levels[i] > 0.35 * levels.max() and sizes[i] > 0.1 * sizes.max()):
+            continue
+        faint, small = levels[i] / float(np.median(levels[larger])), sizes[i] / float(np.median(sizes[larger]))
+        soft = len(blurs) > 1 and blurs[i] > 1.4 * float(np.median(np.delete(blurs, i)))
+        vague = soft or item.refined.visible < 0.95
+        if faint < 0.06 or (faint < 0.1 and vague) or (small < 0.06 and faint < 0.35) or (small < 0.1 and soft):
+            out.add(i)
+    return out
 
 
 def _shaded(scene: Scene, difference: Floats) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.others import other_objects
 from controller.vision.scene import Found, Judged, Scene, overlap, whole
-from controller.vision.selection import WORN, dirt, has_hole, select, stands_alone
+from controller.vision.selection import WORN, has_hole, select, stains, stands_alone
 from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, vertices
 from controller.vision.silhouette import measure, reaches
 from controller.vision.timing import Stopwatch
@@ -35,7 +35,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
             whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item)],
         )  # fmt: skip
         bigger = [(abs(float(cv2.contourArea(o.astype(np.float32)))), levels) for o, _, levels in others]
-        merged |= {i for i, item in enumerate(accepted) if dirt(item, accepted, bigger)} if not scene.sides else set()
+        merged |= set() if scene.sides else stains(accepted, bigger)
         found = [item for i, item in enumerate(found) if i not in merged]
         found = [item for item in found if not any(_part_of(item, outline) for outline, _, _ in others)]
         for outline, score, _ in others:
