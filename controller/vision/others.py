@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 
 _POINTS = 96
 _COLUMNS = 17
+_SAME_STRENGTH = 0.75
+"""What is left of a region is part of the object when it is at least this strong, against its known pieces."""
 _SEEN = 0.85
 """Share of the outline that must be seen as a sharp edge."""
 
@@ -32,6 +34,7 @@ def other_objects(
     smallest: float,
     *,
     whole: Sequence[int],
+    strength: Callable[[Floats], Floats] | None,
 ) -> tuple[list[tuple[Floats, float, float]], set[int]]:
     """Outlines (N, 2), px, scores and contrasts (levels) of objects that no known outline explains.
 
@@ -45,7 +48,9 @@ def other_objects(
         blur: Typical blur of the frame's edges, px; 0 when nothing tells.
         minimum_contrast: Smallest step believed, levels.
         smallest: Smallest width worth reporting, px.
-        whole: Which of `known` are certainly no pieces: what sticks out beside them is a shadow or a side face.
+        whole: Which of `known` are certainly no pieces: what sticks out beside them is a shadow or a side face,
+            unless it is as strong as they are.
+        strength: How far the picture differs from the table at points (N, 2), px; None where side faces show.
 
     Returns:
         The objects, and which of `known` are only pieces of them.
@@ -60,7 +65,7 @@ def other_objects(
     high = np.array([outline.max(axis=0) for outline in known]).reshape(-1, 2)
     areas = [abs(float(cv2.contourArea(outline.astype(np.float32)))) for outline in known]
     certain = set(whole)
-    kept: list[tuple[Floats, set[int]]] = []
+    kept: list[tuple[Floats, set[int], bool]] = []
     for contour, core in candidates:
         polygon = contour.astype(np.float32)
         covered = abs(float(cv2.contourArea(polygon)))
@@ -68,7 +73,10 @@ def other_objects(
         inside = [int(i) for i in np.flatnonzero(around.all(axis=1)) if _contains(polygon, middles[i])]
         total = sum(areas[i] for i in inside)
         joined = _aligned([known[i] for i in inside if i in hidden])
-        if (total > 0.85 * covered and not joined) or any(i in certain for i in inside):
+        if total > 0.85 * covered and not joined:
+            continue
+        rest = core and bool(inside) and strength is not None and _as_strong(strength, polygon, known, inside)
+        if any(i in certain for i in inside) and not rest:
             continue
         if not core and total > 0.3 * covered:
             continue
@@ -76,14 +84,14 @@ def other_objects(
         over = [int(i) for i in np.flatnonzero(((low <= middle) & (high >= middle)).all(axis=1))]
         if any(i not in inside and _contains(known[i].astype(np.float32), middle) for i in over):
             continue
-        kept.append((contour, set(inside)))
+        kept.append((contour, set(inside), rest))
     if not kept:
         return [], set()
-    outlines, seen, sharp, levels = _on_edges(image, noise, [contour for contour, _ in kept], blur, minimum_contrast)
+    outlines, seen, sharp, levels = _on_edges(image, noise, [contour for contour, _, _ in kept], blur, minimum_contrast)
     chosen: list[tuple[Floats, float, float]] = []
     merged: set[int] = set()
     order = sorted(zip(outlines, seen, sharp, kept, levels, strict=True), key=lambda item: _place(item[0], item[2]))
-    for outline, edge, strict, (_, pieces), contrast in order:
+    for outline, edge, strict, (_, pieces, rest), contrast in order:
         polygon = outline.astype(np.float32)
         # Where the picture ends there is no edge to be seen.
         height, width = image.shape[:2]
@@ -94,8 +102,10 @@ def other_objects(
             # What sticks out beyond known shapes must be sharp by itself: a shadow is not.
             free = _away(outline, [known[i] for i in pieces])
             sharp_share = float(strict[free].mean()) if free.sum() > 4 else 0.0
-            # A known shape without an edge to the rest, as the head of a bolt, is a piece: the rest may be rough.
-            share = min(share, max(sharp_share, _SEEN if sharp_share > 0.6 and pieces <= set(hidden) else 0.0))
+            # Of one strength with the rest, as the head of a bolt, or without an edge to it, a known shape is a piece:
+            # the rest may be rough.
+            rough = sharp_share if not rest else float(edge[free].mean()) if free.sum() > 4 else 0.0
+            share = min(share, max(sharp_share, _SEEN if rough > 0.6 and (rest or pieces <= set(hidden)) else 0.0))
         own = abs(float(cv2.contourArea(polygon)))
         if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest or own < 0.5 * smallest**2:
             continue
@@ -108,6 +118,26 @@ def other_objects(
         chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN), contrast))
         merged |= pieces
     return chosen, merged
+
+
+def _as_strong(
+    strength: Callable[[Floats], Floats], polygon: NDArray[np.float32], known: Sequence[Floats], inside: list[int]
+) -> bool:
+    """Whether what known outlines leave of a region differs from the table as much as they do: no shadow of theirs."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    x, y = np.meshgrid(*(np.linspace(a, b, 24) for a, b in zip(low, high, strict=True)))
+    grid = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)
+    grid = np.array([point for point in grid if cv2.pointPolygonTest(polygon, point.tolist(), True) > 3.0])
+    if not len(grid):
+        return False
+    away = np.ones(len(grid), bool)
+    for i in inside:
+        outline = known[i].astype(np.float32)
+        away &= np.array([cv2.pointPolygonTest(outline, point.tolist(), True) < -3.0 for point in grid])
+    values = strength(grid)
+    if away.sum() < 0.1 * len(grid) or away.all():
+        return False
+    return float(np.median(values[away])) > _SAME_STRENGTH * float(np.median(values[~away]))
 
 
 def _place(outline: Floats, strict: NDArray[np.bool_]) -> tuple[bool, float]:

@@ -91,6 +91,11 @@ class Scene:
         y = np.minimum(np.maximum(places[:, 1], 0), rows - 1)
         return np.asarray(self.white.difference[y, x], np.float64)
 
+    def strength(self, points: Floats) -> Floats:
+        """Length (N,) of the whitened difference from the table at points (N, 2), px."""
+        difference = self.differences(points)
+        return np.asarray(np.sqrt(np.vecdot(difference, difference)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:

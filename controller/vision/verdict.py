@@ -33,6 +33,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
             scene.settings.minimum_contrast, scene.settings.smallest_px,
             whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item)],
+            strength=None if scene.sides else scene.strength,
         )  # fmt: skip
         bigger = [(abs(float(cv2.contourArea(o.astype(np.float32)))), levels) for o, _, levels in others]
         merged |= set() if scene.sides else stains(accepted, bigger)
