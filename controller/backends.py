@@ -104,6 +104,8 @@ class Devices:
         observers: Watchers a set needs for itself.
         script: Lets a script's faults happen, where one was given.
         disturbed: What has disturbed the cell so far: kind and s after the work began.
+        names: What stands for the serial numbers of simulated devices, by what they are.
+        names: What stands for the serial numbers of simulated devices, by what they are.
         closers: Called in reverse order by `close`.
     """
 
@@ -122,6 +124,7 @@ class Devices:
     observers: tuple[Observer, ...] = ()
     script: FaultDirector | None = None
     disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    names: Mapping[str, str] = field(default_factory=dict)
     closers: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self) -> None:
@@ -278,6 +281,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         miniature=lambda: cell.overview(_MINIATURE),
         on_step=cell.plant.on_step,
         touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
+        names=_simulated_names(options),
         observers=(
             *([] if script is None else [_Prompter(script)]),
             *([] if cell.disturber is None else [_Disturbed(cell.disturber, config.table.T_base_table())]),
@@ -457,8 +461,14 @@ def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions
         clear_table=truth.set_aside,
         lay_parts=truth.scatter,
         portrait=truth.portrait,
+        names=_simulated_names(options),
         closers=[server.stop, truth.close, presenter.close],
     )
+
+
+def _simulated_names(options: BackendOptions) -> Mapping[str, str]:
+    """Another seed is another camera and another arm."""
+    return {"camera": f"simulated camera {options.seed}", "port": f"simulated arm {options.seed}"}
 
 
 def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> CellSpec:

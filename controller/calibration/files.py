@@ -55,8 +55,10 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror})", "choose a folder you may write to") from error
 
 
-def read(path: Path, kind: str) -> dict[str, Any]:
+def read(path: Path, kind: str, *, named: bool = True) -> dict[str, Any]:
     """The JSON object in a calibration file; its `calibration_id`, when present, must match its content.
+
+    Where not `named`, the id is another file's, and is left to the caller.
 
     Raises:
         CalibrationMissing: There is no such file.
@@ -77,7 +79,7 @@ def read(path: Path, kind: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: not a JSON object", remedy)
     stated = content.get("calibration_id")
-    if stated is not None and stated != identity(kind, content):
+    if named and stated is not None and stated != identity(kind, content):
         raise CalibrationStale(f"{path}: its content does not belong to its id {stated!r}: it was edited", remedy)
     return content
 

@@ -7,7 +7,7 @@ noticed before anything moves. Each write keeps the file it replaces as `.previo
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,8 @@ from controller.domain import Array, CellCalibration
 from controller.errors import CalibrationMissing, CalibrationStale, InputError
 
 CAMERA, TABLE, ARM = "camera.json", "table.json", "arm.json"
+#: Of the touch test, beside them.
+CERTIFICATE = "certificate.json"
 NAMES = (CAMERA, TABLE, ARM)
 
 
@@ -170,31 +172,63 @@ def load_calibration(folder: Path) -> CellCalibration:
 
 
 def restore_previous(folder: Path) -> tuple[str, ...]:
-    """Swap every file with the one it replaced; names of those swapped.
+    """Swap the files that were replaced last with what they replaced; names of those swapped.
+
+    As few files are swapped as make a whole that belongs together: the arm's, the table's as well, all three. The
+    certificate goes with the arm it speaks of. Doing it twice changes nothing.
 
     Raises:
         CalibrationMissing: There is nothing to go back to.
+        CalibrationStale: What is kept does not belong together.
         InputError: The folder cannot be written.
     """
-    swapped = []
-    for name in NAMES:
-        path, previous = folder / name, folder / f"{name}.previous"
-        if not previous.exists():
-            continue
-        aside = folder / f".{name}.swap"
-        try:
-            aside.unlink(missing_ok=True)
-            if path.exists():
-                os.link(path, aside)
-            previous.replace(path)
-            if aside.exists():
-                aside.replace(previous)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror})", "check the folder's rights") from error
-        swapped.append(name)
-    if not swapped:
+    kept = {name for name in NAMES if (folder / _previous(name)).exists()}
+    for names in ((ARM,), (TABLE, ARM), NAMES, (TABLE,), (CAMERA, TABLE), (CAMERA,)):
+        if kept.issuperset(names) and _whole(folder, names):
+            break
+    else:
+        if kept:
+            raise CalibrationStale(f"{folder}: the earlier files kept there do not belong together", "calibrate again")
         raise CalibrationMissing(f"{folder}: no earlier calibration is kept there", "calibrate again")
+    swapped = list(names)
+    if ARM in names and (folder / _previous(CERTIFICATE)).exists():
+        speaks_of = files.read(folder / _previous(CERTIFICATE), "check", named=False).get("calibration_id")
+        if speaks_of == files.read(folder / _previous(ARM), "arm").get("calibration_id"):
+            swapped.append(CERTIFICATE)
+    for name in swapped:
+        _swap(folder, name)
     return tuple(swapped)
+
+
+def _previous(name: str) -> str:
+    return f"{name}.previous"
+
+
+def _whole(folder: Path, swapped: Collection[str]) -> bool:
+    """Whether the folder would hold one calibration after these files were swapped."""
+    found: dict[str, Mapping[str, object]] = {}
+    for name in NAMES:
+        path = folder / (_previous(name) if name in swapped else name)
+        if path.exists():
+            found[name] = files.read(path, name.removesuffix(".json"))
+    if CAMERA not in found or TABLE not in found:
+        return False
+    camera, table = (found[name].get("calibration_id") for name in (CAMERA, TABLE))
+    arm = found.get(ARM, {"camera_id": camera, "table_id": table})
+    return found[TABLE].get("camera_id") == camera and arm.get("camera_id") == camera and arm.get("table_id") == table
+
+
+def _swap(folder: Path, name: str) -> None:
+    path, previous, aside = folder / name, folder / _previous(name), folder / f".{name}.swap"
+    try:
+        aside.unlink(missing_ok=True)
+        if path.exists():
+            os.link(path, aside)
+        previous.replace(path)
+        if aside.exists():
+            aside.replace(previous)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})", "check the folder's rights") from error
 
 
 def _belongs(path: Path, what: str, stated: str, present: str) -> None:

@@ -14,15 +14,17 @@ import typer
 from rich.table import Table
 
 from controller.backends import Devices, Level
+from controller.calibration.approval import certificate_of
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration, calibrate_camera
-from controller.calibration.store import load_calibration
+from controller.calibration.store import load, load_calibration, restore_previous
 from controller.calibration.table import calibrate_table
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt
 from controller.cli.output import stdout
 from controller.config.cell import load_cell
-from controller.errors import ConfigError, InputError, SafetyStop
+from controller.errors import CalibrationError, ConfigError, InputError, SafetyStop
+from controller.service.folders import state_folder
 from controller.service.self_calibration import (
     CalibrationOptions,
     calibrate_arm_in,
@@ -163,6 +165,29 @@ def check(
     else:
         _certificate(result, folder)
     return 0 if result["verdict"] == "passed" else 1
+
+
+@group.command()
+def restore(
+    calibration: Folder = None,
+    as_json: AsJson = False,
+) -> None:
+    """Go back to the calibration before the last one; once more returns to the last one.
+
+    Example: controller calibrate restore
+
+    Every `calibrate` keeps what it replaces. Swaps the files made last, with their certificate; moves nothing.
+    """
+    folder = calibration or state_folder() / "calibration"
+    swapped = restore_previous(folder)
+    stored = load(folder)
+    result: dict[str, Any] = {"calibration": str(folder), "restored": list(swapped)}
+    result |= {"calibration_id": stored.arm.calibration_id if stored.arm is not None else None}
+    try:
+        result |= {"certificate": certificate_of(folder, stored).verdict}
+    except CalibrationError as error:
+        result |= {"certificate": str(error)}
+    _report(result, None, as_json)
 
 
 def _options(config: Path | None, sim: bool, seed: int, level: Level, folder: Path | None) -> CalibrationOptions:

@@ -25,7 +25,7 @@ from controller.calibration.arm_procedure import calibrate_arm
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import calibrate_by_showing
-from controller.calibration.store import CAMERA, TABLE, load, load_calibration, save, save_calibration
+from controller.calibration.store import CAMERA, CERTIFICATE, TABLE, load, load_calibration, save, save_calibration
 from controller.calibration.table import TableCalibration
 from controller.calibration.touch_map import touch_map
 from controller.config.arm import load_arm
@@ -40,7 +40,7 @@ from controller.service.lock import InstanceLock
 
 Say = Callable[[str], None]
 
-CERTIFICATE, MAP = "certificate.json", "certificate.png"
+MAP = "certificate.png"
 _CORRECTIONS = 3
 _CLOSE = 0.0008  # rad: half an encoder tick of 0.088 degrees
 _LARGEST_CORRECTION = 0.02  # rad: a joint further off is hindered, and pushing harder would not help
@@ -107,8 +107,10 @@ def calibrate_camera_and_table(
     assert devices.presenter is not None
     board = parse_board(config.table.board)
     lens, table = calibrate_by_showing(devices.camera, devices.presenter, board, devices.clock, progress=progress)
-    name = devices.arm.description.name
-    save_calibration(folder, lens, table, config.table.T_base_table(), arm=name, provenance=_provenance(config))
+    noted = _provenance(devices, config)
+    save_calibration(
+        folder, lens, table, config.table.T_base_table(), arm=devices.arm.description.name, provenance=noted
+    )
     return lens, table
 
 
@@ -139,7 +141,7 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
             T_base_table=config.table.T_base_table(),
             progress=progress,
         )
-        save(folder, arm=made, provenance=_provenance(config))
+        save(folder, arm=made, provenance=_provenance(devices, config))
         mover.planner = _planner(devices.arm, config, load_calibration(folder))
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
     return made
@@ -175,7 +177,7 @@ def check_cell(
         CameraError, ArmError: A device failed; the arm holds still.
     """
     stored = load(folder)
-    stored.check(arm=devices.arm.description.name, devices=_devices(config))
+    stored.check(arm=devices.arm.description.name, devices=device_names(devices, config))
     if stored.arm is None or not stored.arm.points:
         raise CalibrationMissing("the arm was placed by ruler only", "run `controller calibrate arm` first")
     missed: list[Array] = []
@@ -214,8 +216,9 @@ def check_cell(
         "camera_id": stored.camera.calibration_id,
         "table_id": stored.table.calibration_id,
         "arm": devices.arm.description.name,
-        **_provenance(config),
+        **_provenance(devices, config),
     }
+    content["certificate_id"] = files.identity("certificate", content)
     files.write(folder / CERTIFICATE, content)
     picture = touch_map(found, config.work_area_outline(stored.arm.T_base_table), content["made_at"])
     cv2.imwrite(str(folder / MAP), picture)
@@ -290,9 +293,9 @@ def _planner(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Plan
 # --- notes ----------------------------------------------------------------------------------------------
 
 
-def _devices(config: CellConfig) -> Mapping[str, str]:
+def device_names(devices: Devices, config: CellConfig) -> Mapping[str, str]:
     """What must be the same at work as at the calibration: the devices by their serial numbers, where they have any."""
-    return {"camera": _by_serial(config.camera.device), "port": _by_serial(config.arm.port)}
+    return devices.names or {"camera": _by_serial(config.camera.device), "port": _by_serial(config.arm.port)}
 
 
 def _by_serial(device: str) -> str:
@@ -302,9 +305,9 @@ def _by_serial(device: str) -> str:
     return next((link.name for link in links if link.resolve() == target), device)
 
 
-def _provenance(config: CellConfig) -> dict[str, str]:
+def _provenance(devices: Devices, config: CellConfig) -> dict[str, str]:
     made_at = datetime.now().astimezone().isoformat(timespec="seconds")
-    return {"made_at": made_at, "software": f"controller {__version__}", **_devices(config)}
+    return {"made_at": made_at, "software": f"controller {__version__}", **device_names(devices, config)}
 
 
 def _rounded(figures: Residual) -> dict[str, float]:

@@ -20,8 +20,9 @@ import cv2
 
 from controller import __version__
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode, nominal_camera, rehearsed
+from controller.calibration.approval import approve
 from controller.calibration.identified import load_identified
-from controller.calibration.store import load_calibration
+from controller.calibration.store import load, load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
 from controller.cycle.preflight import check
@@ -41,7 +42,7 @@ from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.service.scenery import watch_scenery
-from controller.service.self_calibration import calibrate_cell
+from controller.service.self_calibration import calibrate_cell, device_names
 from controller.service.standing_cell import Standing, StandingCell
 from controller.service.standing_service import Service
 from controller.service.taught_classes import taught_classes
@@ -277,12 +278,11 @@ class Session:
     def _calibrated(self, devices: Devices, folder: Path) -> tuple[CellCalibration, float]:
         """The calibration to work with, and how long its making took (s of the cell's clock)."""
         given = self.options.calibration
+        if given is not None and self.options.mode is Mode.REPLAY:
+            # The arm that records is as it is described: none of its joints is mounted askew.
+            return replace(load_calibration(given), joint_offsets={}), 0.0
         if given is not None:
-            calibration = load_calibration(given)
-            if self.options.mode is Mode.REPLAY:
-                # The arm that records is as it is described: none of its joints is mounted askew.
-                calibration = replace(calibration, joint_offsets={})
-            return calibration, 0.0
+            return self._approved(devices, given), 0.0
         if devices.presenter is not None:
             self.options.say("calibrating the cell by showing it boards")
             began = devices.clock.now()
@@ -295,10 +295,29 @@ class Session:
             return self._by_ruler(), 0.0
         stored = state_folder() / "calibration"
         if stored.is_dir():
-            return load_calibration(stored), 0.0
+            return self._approved(devices, stored), 0.0
         raise CalibrationMissing(
             f"no calibration in {stored}", "make one with controller calibrate, or name one with --calibration"
         )
+
+    def _approved(self, devices: Devices, folder: Path) -> CellCalibration:
+        """A stored calibration, when it may move this cell's arm.
+
+        Raises:
+            CalibrationError: It may not; the cause says why.
+        """
+        stored = load(folder)
+        arm, names = devices.arm.description.name, device_names(devices, self._config)
+        if self.options.rehearsal is not Rehearsal.NONE:
+            stored.check(arm=arm, devices=names)
+            return stored.cell()
+        try:
+            approve(folder, stored, arm=arm, devices=names, now=datetime.now().astimezone())
+        except CalibrationMissing as error:
+            if self.options.mode is Mode.REAL:
+                raise
+            self.options.say(f"warning: {error.cause}; a real cell would not move ({error.remedy})")
+        return stored.cell()
 
     def _write(self, folder: Path, report: dict[str, Any], album: Album) -> None:
         pictures = {}

@@ -43,6 +43,7 @@ from controller.service import session as session_module
 from controller.service.client import ControlClient, NotRunning
 from controller.service.session import RunOptions, Session
 from tests.benchmarks.cell_vision import look_at_cell
+from tests.unit.calibration.certified import certify
 
 SEED, PARTS = 7, 3
 SORTED_IN = 3.4
@@ -92,6 +93,7 @@ class Prepared:
         if calibration is None:
             look_at_cell(SEED, PARTS, "dynamic", folder)
             calibration = folder / "calibration"
+            certify(calibration)
         config = load_cell(shipped("sim.toml"))
         options = BackendOptions(folder, parts=PARTS, seed=SEED, level=Level.DYNAMIC)
         devices = DEVICES[Mode.SIM](config, load_arm(config.arm.description), options)

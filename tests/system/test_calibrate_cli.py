@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from controller.calibration import files
+from controller.config.files import shipped
 from tests.system.conftest import Controller
 
 FIGURES = {"mean", "p95", "max"}
@@ -38,10 +39,18 @@ def test_a_cell_is_calibrated_certified_and_refused_when_something_changed(
         assert json.loads((tmp_path / "cal" / name).read_text())["calibration_id"]
     arguments = ("calibrate", "check", "--sim", "--level", "static", "--calibration", "cal", "--points", 20)
 
-    # Another seed is another camera in another place: what a bumped camera is to its old calibration.
-    moved = controller(*arguments, "--seed", 2)
+    # Somebody has bumped into the camera: 8 mm to the side, everything else as it was.
+    bumped = tmp_path / "bumped.toml"
+    text = shipped("sim.toml").read_text()
+    assert "above_mm = [-15.0, 0.0]" in text
+    bumped.write_text(text.replace("above_mm = [-15.0, 0.0]", "above_mm = [-7.0, 0.0]"))
+    moved = controller(*arguments, "--seed", 1, "--config", bumped)
     assert moved.returncode == 1
     assert "was moved" in moved.stderr.splitlines()[-1]
+    # Another seed is another camera and another arm.
+    foreign = controller("run", "--sim", "--level", "static", "--calibration", "cal", "--seed", 2, "--parts", 1)
+    assert foreign.returncode == 1
+    assert "made with camera simulated camera 1, this cell has simulated camera 2" in foreign.stderr
     assert not (tmp_path / "cal" / "certificate.json").exists()
 
     done = controller(*arguments, "--seed", 1, "--json")
@@ -65,6 +74,16 @@ def test_a_cell_is_calibrated_certified_and_refused_when_something_changed(
     picture = cv2.imread(str(tmp_path / "cal" / "certificate.png"))
     assert picture is not None
 
+    # A certificate that somebody has helped along.
+    helped = tmp_path / "helped"
+    shutil.copytree(tmp_path / "cal", helped)
+    text = (helped / "certificate.json").read_text()
+    (helped / "certificate.json").write_text(text.replace('"points": ', '"points": 1'))
+    work = ("run", "--sim", "--level", "static", "--seed", 1, "--parts", 1, "--calibration")
+    refused = controller(*work, helped)
+    assert refused.returncode == 1
+    assert "was edited" in refused.stderr
+
     # A lens file from elsewhere: its id is in order, but table and arm were not made with it.
     swapped = tmp_path / "swapped"
     shutil.copytree(tmp_path / "cal", swapped)
@@ -72,9 +91,14 @@ def test_a_cell_is_calibrated_certified_and_refused_when_something_changed(
     lens["camera_matrix"][0][0] *= 1.01
     lens["calibration_id"] = files.identity("camera", lens)
     (swapped / "camera.json").write_text(json.dumps(lens))
-    refused = controller("calibrate", "check", "--sim", "--calibration", swapped)
-    assert refused.returncode == 1
-    assert "made with the camera calibration" in refused.stderr
+    for command in (("calibrate", "check", "--sim", "--calibration"), work):
+        refused = controller(*command, swapped)
+        assert refused.returncode == 1
+        assert "made with the camera calibration" in refused.stderr
+
+    back = controller("calibrate", "restore", "--calibration", "cal")
+    assert back.returncode == 0, back.stderr
+    assert "placed by ruler" in back.stdout  # what `calibrate arm` has replaced
     lens["camera_matrix"][0][0] *= 1.01
     (swapped / "camera.json").write_text(json.dumps(lens))
     edited = controller("calibrate", "check", "--sim", "--calibration", swapped)

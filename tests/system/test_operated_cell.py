@@ -25,6 +25,7 @@ from controller.service.session import RunOptions, Session
 from drivers.arm.dynamixel import DynamixelArm
 from sim_backends.virtual_clock import VirtualClock
 from tests.benchmarks.cell_vision import look_at_cell
+from tests.unit.calibration.certified import certify
 
 PARTS = 2
 
@@ -117,6 +118,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The calibration of the simulated cell."""
     folder = tmp_path_factory.mktemp("cell")
     look_at_cell(7, PARTS, "static", folder)
+    certify(folder / "calibration")
     return folder / "calibration"
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 
+from controller.calibration.approval import DUE, certificate_of
+from controller.calibration.certificate import PASSED
 from controller.calibration.store import load
 from controller.errors import CalibrationMissing, SorterError
 from controller.ledger.view import LedgerView
 from controller.service.doctor.case import Case
 from controller.service.doctor.finding import Finding, failed, ok, warning
-
-OLD_CALIBRATION = 90.0
-"""Days after which mounts have had time to settle and a touch test is due."""
-CERTIFICATE = "certificate.json"
 
 
 def instance(case: Case) -> Finding:
@@ -35,15 +32,18 @@ def calibration(case: Case) -> Finding:
         return failed("calibration", error.cause, error.remedy)
     days = _age(case, [noted.get("made_at", "") for noted in stored.provenance.values()])
     text = name if days is None else f"{name}, {days:.0f} days old"
-    verdict = _verdict(case, name)
     prove = "prove it: controller calibrate check"
-    if verdict is None:
-        return warning("calibration", f"{text}, never proved", prove)
-    if verdict != "passed":
-        return failed("calibration", f"{text}: {verdict}", "calibrate again: controller calibrate arm")
-    if days is not None and days > OLD_CALIBRATION:
-        return warning("calibration", text, prove)
-    return ok("calibration", f"{text}, {verdict}")
+    try:
+        proof = certificate_of(folder, stored)
+    except SorterError as error:
+        return failed("calibration", f"{text}: {error.cause}", error.remedy)
+    if proof.verdict != PASSED:
+        return failed("calibration", f"{text}: {proof.verdict}", "calibrate again: controller calibrate arm")
+    proved = proof.age(case.now)
+    if proved is None or proved > DUE:
+        when = "at an unknown time" if proved is None else f"{proved:.0f} days ago"
+        return warning("calibration", f"{text}, {proof.verdict} {when}", prove)
+    return ok("calibration", f"{text}, {proof.verdict}")
 
 
 def _age(case: Case, dates: list[str]) -> float | None:
@@ -56,17 +56,6 @@ def _age(case: Case, dates: list[str]) -> float | None:
             continue
         known.append(made if made.tzinfo is not None else made.replace(tzinfo=UTC))
     return (case.now - min(known)).total_seconds() / 86400.0 if known else None
-
-
-def _verdict(case: Case, calibration_id: str) -> str | None:
-    """The verdict of the certificate that speaks of this calibration."""
-    try:
-        content = json.loads((case.state / "calibration" / CERTIFICATE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    if not isinstance(content, dict) or content.get("calibration_id") != calibration_id:
-        return None
-    return str(content.get("verdict"))
 
 
 def ledger(case: Case) -> Finding:

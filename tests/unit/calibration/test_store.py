@@ -23,7 +23,7 @@ T_TABLE_CAMERA = pose(0.0, 0.0, 600.0) @ pose_from_rvec([math.pi, 0.0, 0.0], [0.
 Parts = tuple[CameraCalibration, TableCalibration, ArmCalibration]
 
 
-def parts(focal: float = 1000.0) -> Parts:
+def parts(focal: float = 1000.0, *, points: int = 20, **lens: float) -> Parts:
     matrix = LENS.matrix.copy()
     matrix[0, 0] = focal
     raw = {
@@ -31,6 +31,7 @@ def parts(focal: float = 1000.0) -> Parts:
         "dist_coeffs": [-0.2, 0.05, 0.0, 0.0, 0.0],
         "image_size": [1280, 720],
         "uncertainty_mm": 0.245,
+        **lens,
     }
     camera = camera_from_json(raw, "test")
     table = table_from_json({"T_table_camera": T_TABLE_CAMERA.tolist(), "camera_id": camera.calibration_id}, "test")
@@ -44,7 +45,7 @@ def parts(focal: float = 1000.0) -> Parts:
             {"waist": 0.0, "shoulder": 0.02},
             np.eye(4),
             Residual(0.3, 0.6, 0.9),
-            20,
+            points,
             (30.0, 5.0),
             {"shoulder": 0.001},
         )

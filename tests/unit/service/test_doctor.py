@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from controller.backends import BackendOptions, Devices
+from controller.calibration.approval import Approval
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
 from controller.domain import ArmDescription, ArmState, Frame
-from controller.errors import BusError, SorterError
+from controller.errors import BusError, CalibrationMissing, SorterError
 from controller.ledger.sqlite import SqliteLedger
 from controller.service import unit
 from controller.service.doctor import cell, devices, host, software
@@ -272,24 +273,26 @@ class _Stored:
 
 
 @pytest.mark.parametrize(
-    ("days", "certificate", "level", "said"),
+    ("proof", "level", "said"),
     [
-        (3, '{"calibration_id": "cell-1234", "verdict": "passed"}', Level.OK, "3 days old, passed"),
-        (200, '{"calibration_id": "cell-1234", "verdict": "passed"}', Level.WARNING, "200 days old"),
-        (3, '{"calibration_id": "cell-1234", "verdict": "failed"}', Level.FAILED, "failed"),
-        (3, '{"calibration_id": "another", "verdict": "passed"}', Level.WARNING, "never proved"),
-        (3, "[]", Level.WARNING, "never proved"),
-        (3, None, Level.WARNING, "never proved"),
+        (Approval("passed", NOW - timedelta(days=3), 0.3, 0.5, {}), Level.OK, "30 days old, passed"),
+        (Approval("passed", NOW - timedelta(days=120), 0.3, 0.5, {}), Level.WARNING, "120 days ago"),
+        (Approval("passed", None, 0.3, 0.5, {}), Level.WARNING, "unknown time"),
+        (Approval("failed", NOW, 1.3, 2.5, {}), Level.FAILED, "failed"),
+        (CalibrationMissing("the calibration was never proved", "prove it"), Level.FAILED, "never proved"),
     ],
 )
 def test_calibration(
-    case: Case, monkeypatch: pytest.MonkeyPatch, days: int, certificate: str | None, level: Level, said: str
+    case: Case, monkeypatch: pytest.MonkeyPatch, proof: Approval | CalibrationMissing, level: Level, said: str
 ) -> None:
-    made = (NOW - timedelta(days=days)).isoformat()
-    monkeypatch.setattr(cell, "load", lambda folder: _Stored(made))
+    def found_proof(folder: Path, stored: object) -> Approval:
+        if isinstance(proof, CalibrationMissing):
+            raise proof
+        return proof
+
+    monkeypatch.setattr(cell, "load", lambda folder: _Stored((NOW - timedelta(days=30)).isoformat()))
+    monkeypatch.setattr(cell, "certificate_of", found_proof)
     (case.state / "calibration").mkdir()
-    if certificate is not None:
-        (case.state / "calibration" / cell.CERTIFICATE).write_text(certificate)
     found = cell.calibration(case)
     assert _level(found) is level
     assert said in found.finding
