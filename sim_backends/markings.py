@@ -15,6 +15,8 @@ from sim_backends.solids import Array
 Image = NDArray[np.uint8]
 
 _PER_MM = 8.0
+_INK, _BLACK = 0.1, (22.0, 22.0, 24.0)
+"""Black ink on paint of some colour, which shines through a little."""
 _PITCH = 7.0
 """mm from stripe to stripe, dot to dot: five and more on the narrowest part."""
 
@@ -61,8 +63,7 @@ def marking_of(part: Part) -> Print:
     along = (np.arange(count) + 0.5) * pixel - half
     x, y = np.meshgrid(along, -along)
     first = np.array(COLOURS[part.colour])
-    # White on dark paint, dark on light paint.
-    second = 0.25 * first if first.mean() > 120.0 else 0.3 * first + 0.7 * 235.0
+    second = _INK * first + np.array(_BLACK)
     picture = np.where(MARKINGS[part.marking](x, y)[..., None], second, first)
     on_top = np.eye(4)
     on_top[2, 3] = part.height / 2.0

@@ -14,6 +14,7 @@ from rich.table import Table
 from controller.cli.detect import picture_files
 from controller.cli.looking import Looking
 from controller.cli.output import stdout
+from controller.config.cell import CellConfig
 from controller.errors import InputError
 from controller.service.folders import state_folder
 from controller.vision.appearance.palette import name_of
@@ -32,6 +33,13 @@ AsJson = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machin
 def classes_folder(given: Path | None) -> Path:
     """The folder named on the command line, else the cell's own."""
     return given if given is not None else state_folder() / "classes"
+
+
+def with_classes(cell: CellConfig, given: Path | None) -> CellConfig:
+    """The cell with the folder of taught classes that the command line names, if it names one."""
+    if given is None:
+        return cell
+    return cell.model_copy(update={"vision": cell.vision.model_copy(update={"classes": str(given.resolve())})})
 
 
 @group.command("list")

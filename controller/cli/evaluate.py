@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from controller.backends import Level
+from controller.cli.classes import ClassesFolder, with_classes
 from controller.cli.config import default_config
 from controller.cli.evaluate_images import evaluate_pictures
 from controller.cli.evaluate_paper import evaluate_paper
@@ -43,6 +44,7 @@ def evaluate(
         bool, typer.Option("--pick-proof/--no-pick-proof", help="Off: believe every grasp; shows its worth.")
     ] = True,
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell's TOML file.")] = None,
+    classes: ClassesFolder = None,
     arm: Annotated[str | None, typer.Option(metavar="NAME", help="Another arm than the configuration's.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; as many as processors unless given.")] = None,
     report: Annotated[
@@ -68,7 +70,7 @@ def evaluate(
         raise typer.BadParameter("say what to evaluate: either --sim or --images DIR")
     if images is not None:
         return evaluate_pictures(images, recipe, report, as_json)
-    cell = load_cell(config or default_config())
+    cell = with_classes(load_cell(config or default_config()), classes)
     if arm is not None:
         cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm})})
     head = {

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from controller.backends import Level, Mode
+from controller.cli.classes import ClassesFolder, with_classes
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_hangup, on_interrupt
 from controller.cli.motion import taught_file
@@ -55,6 +56,7 @@ def run(
         Path | None,
         typer.Option(metavar="FILE", help="Taught bins (real cell: bins.toml in the state folder)."),
     ] = None,
+    classes: ClassesFolder = None,
     step: Annotated[bool, typer.Option("--step", help="Ask before every pick.")] = False,
     real_time: Annotated[
         bool, typer.Option("--real-time", help="Simulation: world in its own process, bus on a pseudo-terminal.")
@@ -87,7 +89,7 @@ def run(
     taught = taught_file(bins, sim=mode is not Mode.REAL)
 
     def read() -> CellConfig:
-        cell = _cell(config, mode, arm, speed)
+        cell = with_classes(_cell(config, mode, arm, speed), classes)
         return cell if taught is None else with_taught(cell, taught)
 
     # The journal gets records with fields; a person gets the progress, and log lines only for what is beside it.

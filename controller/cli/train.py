@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.table import Table
 
 from controller.cli.annotate import FILE, read_annotations
@@ -19,6 +20,7 @@ from controller.cli.output import stderr, stdout
 from controller.cli.train_network import learn_folder, learn_network, learn_painted
 from controller.errors import InputError
 from controller.vision.classes.features import LENGTH, features
+from controller.vision.classes.markings import SIDE, tiles_of
 from controller.vision.classes.store import TaughtClass, checked_name, load_classes, save_class
 from controller.vision.classes.taught import LEAST_VIEWS, Taught
 from controller.vision.classes.training import Examples, by_class, cross_validated
@@ -58,7 +60,7 @@ def train(
     if folder is None or painted:
         raise typer.BadParameter("name the folder of annotated pictures, or a network's file with --model")
     target = classes_folder(classes)
-    examples, missed = _examples(folder, recipe)
+    examples, prints, missed = _examples(folder, recipe)
     counts = Counter(examples.labels)
     rare = [name for name, count in counts.items() if count < LEAST_VIEWS]
     if rare or len(counts) < 2:
@@ -70,7 +72,7 @@ def train(
         for way, names in said.items()
     }
     if not dry:
-        _keep(examples, target)
+        _keep(examples, prints, target)
     if as_json:
         result = {"examples": len(examples.labels), "not_found": missed, "right": share, "kept": not dry}
         confusion = {way: by_class(examples.labels, names) for way, names in said.items()}
@@ -103,10 +105,11 @@ def _learn_network(
     stdout().print(f"{settings.file}: {right:.1%} of {len(new.labels)} new crops right; use it with --recipe {written}")
 
 
-def _examples(folder: Path, recipe: str) -> tuple[Examples, int]:
-    """Every annotated object that detection finds, and how many it does not."""
+def _examples(folder: Path, recipe: str) -> tuple[Examples, NDArray[np.uint8], int]:
+    """Every annotated object that detection finds, what is printed on each, and how many it does not find."""
     looking = Looking(recipe)
     labels, pictures = [], []
+    prints = [np.zeros((0, SIDE, SIDE), np.uint8)]
     rows, papers, missed = [np.empty((0, LENGTH), np.float32)], [np.empty((0, 3))], 0
     for entry in read_annotations(folder / FILE)["images"]:
         detections, surfaces, plane = looking.at(folder / Path(entry["file"]).name, whole_only=False)
@@ -124,13 +127,14 @@ def _examples(folder: Path, recipe: str) -> tuple[Examples, int]:
             relative = item.descriptors.side_difference / math.sqrt(max(item.area_px, 1.0))
             papers.append(np.array([[item.descriptors.extent, item.descriptors.compactness, relative]]))
             rows.append(values[k : k + 1])
+            prints.append(tiles_of(surfaces.image, [item]))
             labels.append(checked_name(thing["class"]))
             pictures.append(entry["file"])
     stacked = np.concatenate(papers).astype(np.float32), np.concatenate(rows)
-    return Examples(tuple(labels), tuple(pictures), *stacked), missed
+    return Examples(tuple(labels), tuple(pictures), *stacked), np.concatenate(prints), missed
 
 
-def _keep(examples: Examples, target: Path) -> None:
+def _keep(examples: Examples, prints: NDArray[np.uint8], target: Path) -> None:
     """Save the examples as taught classes, beside those of other names."""
     names = np.array(examples.labels)
     new = [
@@ -139,6 +143,7 @@ def _keep(examples: Examples, target: Path) -> None:
             "px",
             examples.features[names == name],
             tuple(p for p, own in zip(examples.pictures, names == name, strict=True) if own),
+            prints[names == name],
         )
         for name in np.unique(names)
     ]

@@ -249,6 +249,12 @@ class CellConfig(StrictModel):
         """Height of the part a detection shows, mm."""
         return self.part(detection.shape).height_mm
 
+    @property
+    def shape_plane_mm(self) -> float:
+        """Height of the plane in which shapes and sizes are judged: half of a common part, mm."""
+        heights = [part.height_mm for part in self.parts] or [self.default_part.height_mm]
+        return sum(heights) / len(heights) / 2.0
+
     def bin_values(self) -> tuple[Bin, ...]:
         """All bins."""
         return tuple(bin_.value() for bin_ in self.bins)

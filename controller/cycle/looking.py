@@ -40,7 +40,7 @@ class Looker:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._plane = rig.calibration.plane(_typical_half_height(rig))
+        self._plane = rig.calibration.plane(rig.config.shape_plane_mm)
         self._region: NDArray[np.uint8] | None = None
         self._guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="look-ahead")
@@ -128,8 +128,3 @@ class Looker:
         return detect(
             frame, self._rig.recipe, plane=self._plane, region=self._region, classes=self._rig.classes
         )
-
-
-def _typical_half_height(rig: Rig) -> float:
-    heights = [part.height_mm for part in rig.config.parts] or [rig.config.default_part.height_mm]
-    return float(np.mean(heights)) / 2.0

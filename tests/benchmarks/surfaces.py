@@ -177,6 +177,38 @@ UNKNOWN: dict[str, list[Floats]] = {
 }
 
 
+def _crescent() -> Floats:
+    t, u = np.linspace(-2.2, 2.2, 60), np.linspace(1.75, -1.75, 50)
+    outer = np.stack([np.cos(t), np.sin(t)], axis=1)
+    inner = np.stack([0.78 * np.cos(u) + 0.05, 0.83 * np.sin(u)], axis=1)
+    return np.concatenate([outer, inner - (0.0, 0.0)]) * (-1.0, 1.0)
+
+
+def _drop() -> Floats:
+    t = np.linspace(0.7, 2.0 * math.pi - 0.7, 80)
+    ring = np.stack([0.62 * np.cos(t) - 0.3, 0.62 * np.sin(t)], axis=1)
+    return np.concatenate([ring, [[1.0, 0.0]]])
+
+
+def _lens() -> Floats:
+    t = np.linspace(-0.85, 0.85, 60)
+    arc = np.stack([1.3 * np.sin(t), 1.3 * np.cos(t) - 0.858], axis=1)
+    return np.concatenate([arc, -arc])
+
+
+HELD_OUT: dict[str, list[Floats]] = {
+    "house": [np.array([[-0.75, -0.1], [0.0, -0.95], [0.75, -0.1], [0.75, 0.85], [-0.75, 0.85]])],
+    "crescent": [_crescent()],
+    "drop": [_drop()],
+    "lens": [_lens()],
+    "H": [_bars((-0.85, -0.9, -0.35, 0.9), (0.35, -0.9, 0.85, 0.9), (-0.4, -0.25, 0.4, 0.25))],
+    "F": [_bars((-0.7, -0.95, -0.15, 0.95), (-0.7, -0.95, 0.8, -0.45), (-0.2, -0.2, 0.5, 0.25))],
+    "star of six": [star(6, 0.55)],
+    "trapezium": [np.array([[-0.95, 0.6], [0.95, 0.6], [0.45, -0.6], [-0.45, -0.6]])],
+}
+"""Kinds that nothing was tuned on."""
+
+
 # --- textures -----------------------------------------------------------------------------------------
 
 

@@ -1,11 +1,11 @@
-"""Ten kinds taught by eight views each, a thousand new views, and eight kinds that were never shown.
+"""Ten kinds taught by eight views each, a thousand new views, and sixteen kinds that were never shown.
 
     python tests/benchmarks/teaching.py
     python tests/benchmarks/teaching.py --fasteners ../shared/data/packt_fasteners
 
 Kinds: L, T, star, ring, cross, gear, half disc, heart, and a square with either of two prints. Views differ in place,
-turn, size (1.5 %), light (3500 to 6500 K, 0.7 to 1.3 times, gradient), blur and noise. Parts are found by the recipe
-`precise`, as in use.
+turn, tilt (10 degrees), size (1.5 %), light (3500 to 6500 K, 0.7 to 1.3 times, gradient), blur and noise. Parts are
+found by the recipe `precise`, as in use.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
 from tests.benchmarks import surfaces
-from tests.benchmarks.surfaces import KINDS, SQUARE, UNKNOWN, Floats, Pattern, Thing
+from tests.benchmarks.surfaces import HELD_OUT, KINDS, SQUARE, UNKNOWN, Floats, Pattern, Thing
 
 Floats32 = NDArray[np.float32]
 _SIZE = (640, 480)
@@ -57,7 +57,7 @@ def _things(kind: str) -> tuple[list[Floats], Pattern]:
         return [SQUARE], _print_b
     if kind == "blank square":
         return [SQUARE], surfaces.plain()
-    rings = (KINDS | UNKNOWN)[kind]
+    rings = (KINDS | UNKNOWN | HELD_OUT)[kind]
     return rings, surfaces.plain()
 
 
@@ -80,7 +80,11 @@ def views(kinds: list[str], each: int, seed: int) -> tuple[Floats32, list[str], 
             shift = random.uniform(-14, 14, 2)
             x, y = 80.0 + 160.0 * (k % 4) + shift[0], 80.0 + 160.0 * (k // 4) + shift[1]
             turn = float(random.uniform(-math.pi, math.pi))
-            things.append(Thing([np.asarray(r * scale) for r in rings], _COLOUR, x, y, turn, pattern))
+            # Seen up to 10 degrees from the side, it is up to 1.5 % shorter that way.
+            a, tilt = float(random.uniform(-math.pi, math.pi)), math.cos(float(random.uniform(0.0, 0.17)))
+            way = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+            scaled = scale * (way @ np.diag([1.0, tilt]) @ way.T)
+            things.append(Thing([np.asarray(r @ scaled) for r in rings], _COLOUR, x, y, turn, pattern))
         kelvin, gain = float(random.uniform(3500, 6500)), float(random.uniform(0.7, 1.3)) * 0.6
         light = surfaces.field(_SIZE, kelvin, gain, float(random.uniform(0, 0.3)), float(random.uniform(-3, 3)))
         blur, noise = float(random.uniform(0.5, 1.0)), float(random.uniform(1, 4))
@@ -108,7 +112,7 @@ def study(taught: int, new: int, seed: int) -> None:
     classifier = Classifier({kind: values[[n == kind for n in names]] for kind in known})
     crossed = classifier.left_out()
     teach_s = process_time() - began
-    right = sum(a == b for a, b in crossed)
+    right = sum(name == verdict.name for name, verdict in crossed)
     line = {"taught": len(names), "lost": lost, "left_one_out_right": right, "teaching_s": round(teach_s, 3)}
     print(json.dumps(line))
     values, names, lost, time_ms = views(known, new, seed + 1)
@@ -121,11 +125,13 @@ def study(taught: int, new: int, seed: int) -> None:
     figures = {"new": len(names) + lost, "not_found": lost, "right_percent": round(share, 2), "wrong": dict(wrong)}
     times = {"frame_of_12_ms": round(time_ms, 2), "classify_part_ms": round(classify_ms, 4)}
     print(json.dumps(figures | times))
-    values, names, lost, _ = views([*UNKNOWN, "blank square"], 25, seed + 2)
-    said = [v.name if v else None for v in classifier.verdicts(values)]
-    wrong = Counter(f"{a} -> {b}" for a, b in zip(names, said, strict=True) if b is not None)
-    rejected = 100.0 * sum(name is None for name in said) / len(said)
-    print(json.dumps({"unknown": len(said), "rejected_percent": round(rejected, 2), "wrong": dict(wrong)}))
+    for title, strangers in (("looked at while tuning", [*UNKNOWN, "blank square"]), ("held out", list(HELD_OUT))):
+        values, names, lost, _ = views(strangers, 25, seed + 2)
+        said = [v.name if v else None for v in classifier.verdicts(values)]
+        wrong = Counter(f"{a} -> {b}" for a, b in zip(names, said, strict=True) if b is not None)
+        rejected = 100.0 * sum(name is None for name in said) / len(said)
+        unknown = {"unknown": title, "views": len(said), "rejected_percent": round(rejected, 2)}
+        print(json.dumps(unknown | {"wrong": dict(wrong)}), flush=True)
 
 
 FASTENERS = {"tuerca": "nut", "arandela": "washer", "tornillo": "bolt"}
@@ -163,7 +169,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--taught", type=int, default=8, help="views of each kind")
     parser.add_argument("--new", type=int, default=100, help="new views of each kind")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=701, help="1 to 30 were looked at while tuning")
     parser.add_argument("--fasteners", type=Path, help="folder of the backlit fasteners")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

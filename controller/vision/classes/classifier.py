@@ -67,29 +67,38 @@ class Classifier:
         """A verdict for each feature vector (m, LENGTH); None when nothing was taught."""
         if not self.names or not len(values):
             return [None] * len(values)
-        near = self._to_classes(values * self._scale, None)
-        order = np.argsort(near, axis=1)
-        out: list[Verdict | None] = []
-        for row, ranks in zip(near, order, strict=True):
-            best = int(ranks[0])
-            distance = float(row[best] / self.reach[best])
-            clear = len(ranks) == 1 or row[best] < _CLEAR * row[int(ranks[1])]
-            known = distance <= 1.0 and bool(clear)
-            score = float(0.5 ** (distance**2))
-            out.append(Verdict(self.names[best] if known else None, distance, self.names[best], score))
-        return out
+        return [self._verdict(row) for row in self._to_classes(values * self._scale, None)]
 
-    def left_out(self) -> list[tuple[str, str | None]]:
-        """For every view its class, and what it is taken for by all views but itself (cross-validation, one out)."""
+    def _verdict(self, near: NDArray[np.float64]) -> Verdict:
+        """What distances (classes,) to the nearest view of each class say."""
+        best = int(near.argmin())
+        distance = float(near[best] / self.reach[best])
+        others = np.delete(near, best)
+        known = distance <= 1.0 and bool(not len(others) or near[best] < _CLEAR * others.min())
+        return Verdict(self.names[best] if known else None, distance, self.names[best], float(0.5 ** (distance**2)))
+
+    def left_out(self) -> list[tuple[str, Verdict]]:
+        """For every view its class, and the verdict on it by all views but itself (cross-validation, one out)."""
         near = self._to_classes(self._views, np.arange(len(self._views)))
-        out: list[tuple[str, str | None]] = []
-        for row, owner in zip(near, self._owner, strict=True):
-            best = int(row.argmin())
-            others = np.delete(row, best)
-            clear = not len(others) or row[best] < _CLEAR * others.min()
-            known = row[best] <= self.reach[best] and clear
-            out.append((self.names[owner], self.names[best] if known else None))
-        return out
+        return [(self.names[owner], self._verdict(row)) for row, owner in zip(near, self._owner, strict=True)]
+
+    def twins(self) -> dict[str, frozenset[str]]:
+        """For each class the others that differ from it by nothing but what is on its surface."""
+        form = np.ones(LENGTH, bool)
+        for name in ("texture", "print"):
+            form[block(name)] = False
+        views = self._views[:, form]
+        apart = np.linalg.norm(views[:, None] - views[None], axis=2)
+        found: dict[str, frozenset[str]] = {}
+        for k, name in enumerate(self.names):
+            near = {
+                other
+                for j, other in enumerate(self.names)
+                if j != k
+                and apart[np.ix_(self._owner == k, self._owner == j)].min() <= max(self.reach[k], self.reach[j])
+            }
+            found[name] = frozenset(near)
+        return found
 
     def _to_classes(self, scaled: Floats32, own: NDArray[np.intp] | None) -> NDArray[np.float64]:
         """(m, classes): distance to the nearest view of each class; `own` are rows to leave out."""

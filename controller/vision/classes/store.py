@@ -22,6 +22,7 @@ from pydantic import Field, ValidationError
 from controller.config.loader import StrictModel
 from controller.errors import InputError
 from controller.vision.classes.features import LENGTH, VERSION
+from controller.vision.classes.markings import SIDE
 
 Floats32 = NDArray[np.float32]
 
@@ -52,17 +53,19 @@ class TaughtClass:
         units: `mm` or `px`: what sizes are measured in.
         views: ndarray of shape (n, LENGTH), dtype float32.
         pictures: Where each view came from.
+        prints: ndarray of shape (n, markings.SIDE, markings.SIDE), dtype uint8: what is on each view's top.
     """
 
     name: str
     units: str
     views: Floats32
     pictures: tuple[str, ...]
+    prints: NDArray[np.uint8]
 
     @property
     def digest(self) -> str:
         """sha256 of the figures."""
-        return hashlib.sha256(self.views.astype("<f4").tobytes()).hexdigest()
+        return hashlib.sha256(self.views.astype("<f4").tobytes() + self.prints.tobytes()).hexdigest()
 
 
 def checked_name(name: str) -> str:
@@ -86,7 +89,7 @@ def save_class(folder: Path, taught: TaughtClass) -> Path:
     """
     stem = _stem(taught.name)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, views=taught.views.astype("<f4"))
+    np.savez_compressed(buffer, views=taught.views.astype("<f4"), prints=taught.prints)
     data = buffer.getvalue()
     sha256 = hashlib.sha256(data).hexdigest()
     record = _Record(
@@ -137,12 +140,14 @@ def load_class(path: Path) -> TaughtClass:
         raise InputError(f"{path} was taught with version {record.features} of the features, this is {VERSION}", again)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            views = np.asarray(arrays["views"], np.float32)
+            views, prints = np.asarray(arrays["views"], np.float32), np.asarray(arrays["prints"])
     except (ValueError, KeyError, OSError) as error:
         raise InputError(f"{file} is damaged ({error})", again) from error
     if views.shape != (record.views, LENGTH) or not np.isfinite(views).all():
         raise InputError(f"{file} holds {views.shape} figures, not ({record.views}, {LENGTH}) finite ones", again)
-    return TaughtClass(record.name, record.units, views, record.pictures)
+    if prints.shape != (record.views, SIDE, SIDE) or prints.dtype != np.uint8:
+        raise InputError(f"{file} holds pictures {prints.shape}, not ({record.views}, {SIDE}, {SIDE})", again)
+    return TaughtClass(record.name, record.units, views, record.pictures, prints)
 
 
 def load_classes(folder: Path) -> tuple[TaughtClass, ...]:

@@ -13,8 +13,9 @@ from controller.domain import Detection
 from controller.errors import InputError
 from controller.geometry import PlaneMap
 from controller.vision.appearance.look import Surfaces
-from controller.vision.classes.classifier import Classifier, scaled_by_noise
+from controller.vision.classes.classifier import Classifier, Verdict, scaled_by_noise
 from controller.vision.classes.features import features
+from controller.vision.classes.markings import Marking, best_likeness, marking, tiles_of
 from controller.vision.classes.store import MOST_VIEWS, TaughtClass, digest_of
 
 LEAST_VIEWS = 3
@@ -25,6 +26,15 @@ _JUMP_RATIO = 3.0
 """... and this many times wider than usual within, makes two faces of them."""
 _EXTRAS = 0.25
 """Share of the views that may be other things lying beside the part."""
+_SAME = 0.7
+"""Prints laid over one another are the same from this likeness on: the same ones reach 0.85, others 0.75 at most
+when their outlines agree by chance, 0.1 usually."""
+_CLEARLY = 0.08
+"""The second must be less alike by this."""
+_MOSTLY = 0.75
+"""Share of a class's views that must show its print."""
+_COMPARED = 8
+"""Views of a class whose prints are looked at."""
 _RIGHT = 0.8
 """Share of its own views that a class must recognise when each is left out in turn."""
 
@@ -48,6 +58,24 @@ class Taught:
         self.units = classes[0].units if classes else "px"
         self.digest = digest_of(classes)
         self.classifier = Classifier({item.name: item.views for item in classes})
+        self._prints = {item.name: item.prints for item in classes}
+        self._twins = self.classifier.twins() if len(classes) > 1 else {}
+        self._known: dict[str, tuple[Marking, ...]] = {}
+        self._marked: dict[str, bool] = {}
+
+    def markings(self, name: str) -> tuple[Marking, ...]:
+        """What is printed on the views of a class."""
+        if name not in self._known:
+            self._known[name] = tuple(marking(tile) for tile in self._prints[name])
+        return self._known[name]
+
+    def is_marked(self, name: str) -> bool:
+        """Whether its views carry one and the same print."""
+        if name not in self._marked:
+            own = self.markings(name)[:_COMPARED]
+            alike = [best_likeness(one, [other for other in own if other is not one]) >= _SAME for one in own]
+            self._marked[name] = bool(alike) and sum(alike) >= _MOSTLY * len(alike)
+        return self._marked[name]
 
     def label(self, detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMap | None) -> list[Detection]:
         """The detections, those of a known class with its name as label; the others as they were.
@@ -60,14 +88,40 @@ class Taught:
         out = list(detections)
         values = features(detections, surfaces, plane if self.units == "mm" else None)
         for k, verdict in zip(surfaces.which, self.classifier.verdicts(values), strict=True):
-            if verdict is not None and verdict.name is not None:
-                out[k] = replace(out[k], label=verdict.name)
+            if verdict is None:
+                continue
+            name = verdict.name
+            if verdict.distance <= 1.0 and self._twins.get(verdict.nearest):
+                (tile,) = tiles_of(surfaces.image, [out[k]])
+                name = self._by_print(marking(tile), verdict)
+            if name is not None:
+                out[k] = replace(out[k], label=name)
         return out
+
+    def _by_print(self, seen: Marking, verdict: Verdict) -> str | None:
+        """Which of the classes that differ by their surface only it is, or None."""
+        candidates = {verdict.nearest, *self._twins[verdict.nearest]}
+        marked = [name for name in candidates if self.is_marked(name)]
+        scores = {
+            name: best_likeness(seen, [one for one in self.markings(name)[:_COMPARED] if one is not seen])
+            for name in marked
+        }
+        first, second = sorted([*scores.values(), 0.0, 0.0], reverse=True)[:2]
+        if first < _SAME:
+            # None of the prints: it may be one of those that have none, or whose texture tells.
+            return verdict.name if verdict.name not in marked else None
+        return max(scores, key=lambda name: scores[name]) if first >= second + _CLEARLY else None
 
     def confusion(self) -> dict[str, Counter[str]]:
         """For each class what its views are taken for when each is left out in turn; `unknown` where nothing."""
         table: dict[str, Counter[str]] = {name: Counter() for name in self.classifier.names}
-        for true, said in self.classifier.left_out():
+        seen: Counter[str] = Counter()
+        for true, verdict in self.classifier.left_out():
+            own = seen[true]
+            seen[true] += 1
+            said = verdict.name
+            if verdict.distance <= 1.0 and self._twins.get(verdict.nearest):
+                said = self._by_print(self.markings(true)[own], verdict)
             table[true][said or "unknown"] += 1
         return table
 
@@ -142,14 +196,21 @@ def _without_extras(new: TaughtClass) -> tuple[TaughtClass, list[str]]:
         return new, []
     warnings = [f"left out something unlike {new.name!r} in {new.pictures[k]}" for k in np.flatnonzero(extra)]
     kept = tuple(picture for picture, out in zip(new.pictures, extra, strict=True) if not out)
-    return replace(new, views=new.views[~extra], pictures=kept), warnings
+    return replace(new, views=new.views[~extra], pictures=kept, prints=new.prints[~extra]), warnings
 
 
 def _refuse_known(new: TaughtClass, kept: tuple[TaughtClass, ...]) -> None:
     """Raise when most of the new views are taken for a class that is known already."""
     if not kept:
         return
-    said = Counter(v.name for v in Taught(kept).classifier.verdicts(new.views) if v is not None and v.name is not None)
+    known_by_now, own = Taught(kept), Taught((new,))
+    said: Counter[str] = Counter()
+    for verdict, print_ in zip(known_by_now.classifier.verdicts(new.views), own.markings(new.name), strict=True):
+        if verdict is None or verdict.name is None:
+            continue
+        printed = own.is_marked(new.name) or known_by_now.is_marked(verdict.name)
+        if not printed or best_likeness(print_, known_by_now.markings(verdict.name)[:_COMPARED]) >= _SAME:
+            said[verdict.name] += 1
     if said and said.most_common(1)[0][1] > 0.5 * len(new.views):
         known, count = said.most_common(1)[0]
         raise InputError(

@@ -10,6 +10,7 @@ from controller.errors import InputError
 from controller.vision.classes import store
 from controller.vision.classes.classifier import Classifier
 from controller.vision.classes.features import LENGTH
+from controller.vision.classes.markings import SIDE
 from controller.vision.classes.store import TaughtClass, load_class, load_classes, remove_class, save_class
 from controller.vision.classes.taught import Taught, admit
 from tests.benchmarks.surfaces import KINDS, UNKNOWN
@@ -25,7 +26,8 @@ def shown() -> dict[str, Floats32]:
 
 
 def _class(name: str, values: Floats32, units: str = "px") -> TaughtClass:
-    return TaughtClass(name, units, values, tuple(f"{name}{k}.png" for k in range(len(values))))
+    pictures = tuple(f"{name}{k}.png" for k in range(len(values)))
+    return TaughtClass(name, units, values, pictures, np.zeros((len(values), SIDE, SIDE), np.uint8))
 
 
 def test_new_views_are_known_and_new_kinds_are_not(shown: dict[str, Floats32]) -> None:
@@ -99,7 +101,7 @@ def test_a_class_must_be_one_thing_and_a_new_one(shown: dict[str, Floats32]) -> 
 
 def test_what_lies_beside_the_part_is_left_out(shown: dict[str, Floats32]) -> None:
     values = np.concatenate([shown["gear"], shown["L"][:1]])
-    new = TaughtClass("gear", "px", values, ("a", "b", "c", "d", "e", "f", "f"))
+    new = TaughtClass("gear", "px", values, ("a", "b", "c", "d", "e", "f", "f"), np.zeros((7, SIDE, SIDE), np.uint8))
     admission = admit(new, ())
     assert len(admission.new.views) == 6
     assert admission.warnings == ("left out something unlike 'gear' in f",)
