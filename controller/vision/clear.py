@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.fitting import Hypothesis, fit_all
+from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import local_maps
 from controller.vision.proposals import Region
 from controller.vision.scene import Judged, Scene, whole
@@ -35,6 +35,8 @@ _CONVEX = 0.93
 """Area over the hull's, above which a region may be one convex object."""
 _COMPLETE = 0.95
 """Share of the points where the outline must be found."""
+_ROUGH, _FINE = (1, 3), (5,)
+"""Gauss-Newton steps on all families, and on the best two: there are no stray edges to find a way between."""
 _ON_OUTLINE = 0.9
 """Share of the points that must lie on the best family's outline."""
 _GROWN, _GROWN_SHARE = 0.6, 0.01
@@ -73,7 +75,8 @@ def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: floa
     if not regions:
         return scene, []
     local = maps.all_to_local(points)
-    fits = fit_all(list(local), local[:, :, None], found[..., None].astype(np.float64), scene.factor)
+    edges = edges_of(local[:, :, None], found[..., None].astype(np.float64))
+    fits = fit_all(local, edges, scene.factor, _ROUGH, _FINE)
     wanted: list[Hypothesis] = []
     for options in fits:
         if options and options[0].inliers > _ON_OUTLINE:

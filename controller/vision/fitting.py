@@ -1,36 +1,48 @@
-"""First fits of every family to the edges around every region: good to a fraction of a pixel of the searched image."""
+"""First fits of every family to the edges around every region: good to a fraction of a pixel of the searched image.
+
+All polygons of all regions are fitted at once, as rows of padded parameters (cx, cy, three sizes, three turns) with
+six sides each; circles beside them.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import Shape
-from controller.vision.rays import DIRECTIONS
-from controller.vision.shapes import (
-    CIRCLE,
-    FAMILIES,
-    HEXAGON,
-    RECTANGLE,
-    TRIANGLE,
-    Family,
-    area,
-    edge_residuals,
-    fit_edges,
-    from_polygon,
-)
+from controller.vision.rays import DIRECTIONS, RAYS
+from controller.vision.shapes import CIRCLE, HEXAGON, RECTANGLE, TRIANGLE, Family, area
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Rows = NDArray[np.intp]
 
-_ROUGH = (0, 1, 2)
-"""Steps after which the families that do not suit a region are plain."""
-_FINE = (3, 4, 5)
-"""Steps that bring the others to the end."""
+POLYGONS = (HEXAGON, RECTANGLE, TRIANGLE)
+_CIRCLE = len(POLYGONS)
+_KINDS = (*POLYGONS, CIRCLE)
+_SIDES = max(len(family.normals) for family in POLYGONS)
+_PADDED = 8
+_OWN = [np.array([*range(2 + f.sizes), *range(5, 5 + f.turns)]) for f in _KINDS]
+# Sides beyond a family's own repeat its first one.
+_PLACE = [np.where(np.arange(_SIDES) < len(f.normals), np.arange(_SIDES), 0) for f in POLYGONS]
+_NORMALS = np.array([f.normals[place] for f, place in zip(POLYGONS, _PLACE, strict=True)])
+_SIZE_OF = np.array([2 + f.size_of[place] for f, place in zip(POLYGONS, _PLACE, strict=True)])
+_TURN_OF = np.array([5 + f.turn_of[place] for f, place in zip(POLYGONS, _PLACE, strict=True)])
+_MOVES = np.array([-1.0 if f.moves else 0.0 for f in POLYGONS], np.float32)
+# Which parameters each side follows: -1 for its size, 1 for its turn.
+_FOLLOWS: Floats32 = np.array(
+    [
+        [[-1.0 if s == 2 + i else 0.0 for i in range(3)] + [1.0 if t == 5 + i else 0.0 for i in range(3)]
+         for s, t in zip(sizes, turns, strict=True)]
+        for sizes, turns in zip(_SIZE_OF, _TURN_OF, strict=True)
+    ],
+    np.float32,
+)  # fmt: skip
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
+_RIDGE = 1e-5 * np.eye(_PADDED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,80 +66,236 @@ class Hypothesis:
     size: float
 
 
-def fit_all(hulls: list[Floats], edges: Floats, weight: Floats, factor: int) -> list[list[Hypothesis]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Where edges were found around K regions: C candidates on each of M rays.
+
+    Attributes:
+        points: ndarray of shape (K, 3, M * C), dtype float32: x, y, 1.
+        weight: ndarray of shape (K, M, C), dtype float32, 0 where there is no edge.
+    """
+
+    points: Floats32
+    weight: Floats32
+
+    def some(self, rows: Rows) -> Edges:
+        """The edges of some regions, or of some again and again."""
+        return Edges(self.points[rows], self.weight[rows])
+
+    def coarser(self) -> Edges:
+        """The edges of every other ray."""
+        count, rays, choices = self.weight.shape
+        points = self.points.reshape(count, 3, rays, choices)[:, :, ::2]
+        return Edges(points.reshape(count, 3, -1), self.weight[:, ::2])
+
+
+Model = Callable[[Rows, Floats, Edges], tuple[Floats32, Floats32, Floats32]]
+
+
+def edges_of(places: Floats, weight: Floats) -> Edges:
+    """Edges from their places (K, M, C, 2), local coordinates, and strengths (K, M, C)."""
+    relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
+    points = np.ones((len(places), 3, weight[0].size if len(weight) else 0), np.float32)
+    points[:, :2] = places.reshape(len(places), -1, 2).transpose(0, 2, 1)
+    return Edges(points, np.clip(relative, 0.0, 1.0).astype(np.float32))
+
+
+def fit_all(
+    outlines: Floats, edges: Edges, factor: int, rough: Sequence[int] = (0, 1, 2), fine: Sequence[int] = (3, 4, 5)
+) -> list[list[Hypothesis]]:
     """For every region, its fits to the two families that suit it best, best first.
 
     All families are fitted roughly, on every other ray; the best two are fitted to the end.
+
+    Args:
+        outlines: ndarray of shape (K, N, 2): points of a rough convex outline of each region, local coordinates.
+        edges: The edges around each.
+        factor: How many times smaller the searched image is: so much worse the edges are known.
+        rough: Numbers of the Gauss-Newton steps after which the families that do not suit a region are plain.
+        fine: Numbers of those that bring the others to the end.
     """
-    starts: dict[Shape, list[Floats]] = {shape: [] for shape in FAMILIES}
-    for hull in hulls:
-        for shape, start in _starts(hull).items():
-            starts[shape].append(start)
-    relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
-    light = np.asarray(np.where(weight > 0.0, np.clip(relative, 0.0, 1.0), 0.0), np.float32)
-    points = edges.astype(np.float32)
-    half = np.ascontiguousarray(points[:, ::2]), np.ascontiguousarray(light[:, ::2])
-    rough: list[Floats] = []
-    costs = np.empty((len(FAMILIES), len(hulls)))
-    for i, family in enumerate(FAMILIES.values()):
-        q = np.array(starts[family.shape])
-        q = fit_edges(family, q, *half, _scale(family, q, factor), _ROUGH)
-        rough.append(q)
-        costs[i] = _quality(family, q, *half, factor)[0]
-    rank = np.nan_to_num(costs, nan=np.inf).argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
-    out: list[list[Hypothesis]] = [[] for _ in hulls]
-    for family, start, place in zip(FAMILIES.values(), rough, rank, strict=True):
-        rows = np.flatnonzero((place < 2) & np.isfinite(start).all(axis=1))
-        near = points[rows], light[rows]
-        q = fit_edges(family, start[rows], *near, _scale(family, start[rows], factor), _FINE)
-        cost, inliers, size = _quality(family, q, *near, factor)
-        for k, region in enumerate(rows.tolist()):
-            if np.isfinite(q[k]).all():
-                out[region].append(
-                    Hypothesis(region, family, q[k], float(cost[k]), float(inliers[k]), float(size[k]))
-                )
-    for hypotheses in out:
-        hypotheses.sort(key=lambda h: h.cost)
+    count = len(outlines)
+    kind = np.repeat(np.arange(len(_KINDS)), count)
+    region = np.tile(np.arange(count), len(_KINDS))
+    q = _starts(outlines)
+    half = edges.coarser().some(region)
+    q = _fit(kind, q, half, factor, rough)
+    cost = np.nan_to_num(_quality(kind, q, half, factor)[0], nan=np.inf).reshape(len(_KINDS), count)
+    best = np.argsort(cost, axis=0, kind="stable")[:2]
+    rows = np.sort((best * count + np.arange(count)).ravel())
+    rows = rows[np.isfinite(q[rows]).all(axis=1)]
+    kind, region = kind[rows], region[rows]
+    near = edges.some(region)
+    q = _fit(kind, q[rows], near, factor, fine)
+    cost, inliers, size = _quality(kind, q, near, factor)
+    out: list[list[Hypothesis]] = [[] for _ in range(count)]
+    usable = np.isfinite(q).all(axis=1)
+    for i in np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")].tolist():
+        k, at = int(kind[i]), int(region[i])
+        own = q[i, _OWN[k]]
+        out[at].append(Hypothesis(at, _KINDS[k], own, float(cost[i]), float(inliers[i]), float(size[i])))
     return out
 
 
-def _scale(family: Family, q: Floats, factor: int) -> Floats:
-    """How near to the outline (K,) edges must finally be to count."""
-    return np.maximum(0.5 * factor, 0.008 * np.sqrt(np.maximum(area(family, q), 1.0)))
+def _starts(outlines: Floats) -> Floats:
+    """Rough parameters (4 K, 8) of every family for outlines (K, N, 2): those of the first family first."""
+    count = len(outlines)
+    x, y = outlines[..., 0], outlines[..., 1]
+    after = np.concatenate([outlines[:, 1:], outlines[:, :1]], axis=1)
+    cross = x * after[..., 1] - after[..., 0] * y
+    twice = cross.sum(axis=1)
+    twice = np.where(np.abs(twice) < 1e-6, 1e-6, twice)
+    center = ((outlines + after) * cross[..., None]).sum(axis=1) / (3.0 * twice)[:, None]
+    covered = np.maximum(0.5 * np.abs(twice), 1.0)
+    out = np.zeros((len(_KINDS), count, _PADDED))
+    out[:, :, :2] = center
+    out[_CIRCLE, :, 2] = np.sqrt(covered / math.pi)
+    shifted = outlines - center[:, None]
+    support = (shifted @ DIRECTIONS.T).max(axis=1)
+    # The sixth harmonic of the support function points at the sides' normals.
+    out[0, :, 2] = np.sqrt(covered / (2.0 * math.sqrt(3.0)))
+    out[0, :, 5] = np.angle(support @ _SIXTH) / 6.0 + math.pi / 6.0
+    # The smallest rectangle around it, to the next of the directions.
+    quarter = RAYS // 4
+    width = support[:, : 2 * quarter] + support[:, 2 * quarter :]
+    turn = (width[:, :quarter] * width[:, quarter:]).argmin(axis=1)
+    rows = np.arange(count)
+    ahead, left, back, right = (support[rows, turn + i * quarter] for i in range(4))
+    along = DIRECTIONS[turn]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    out[1, :, :2] += 0.5 * ((ahead - back)[:, None] * along + (left - right)[:, None] * across)
+    out[1, :, 2] = np.maximum(0.5 * (ahead + back), 0.5)
+    out[1, :, 3] = np.maximum(0.5 * (left + right), 0.5)
+    out[1, :, 5] = turn * (2.0 * math.pi / RAYS)
+    # Three far corners: the farthest from the centre, from that, and from the line between both.
+    first = outlines[rows, np.vecdot(shifted, shifted).argmax(axis=1)]
+    apart = outlines - first[:, None]
+    second = outlines[rows, np.vecdot(apart, apart).argmax(axis=1)]
+    line = second - first
+    third = outlines[rows, np.abs(apart[..., 0] * line[:, 1:] - apart[..., 1] * line[:, :1]).argmax(axis=1)]
+    out[2] = _triangles(np.stack([first, second, third], axis=1))
+    return out.reshape(-1, _PADDED)
 
 
-def _quality(
-    family: Family, q: Floats, edges: NDArray[np.float32], weight: NDArray[np.float32], factor: int
-) -> tuple[Floats, Floats, Floats]:
-    """Cost, share of inliers and size (K,) of fitted outlines, see `Hypothesis`."""
-    distance, strength = edge_residuals(family, q, edges, weight)
-    size = np.sqrt(np.maximum(area(family, q), 1.0))
+def _triangles(corners: Floats) -> Floats:
+    """Padded parameters (K, 8) of triangles with corners (K, 3, 2), any order."""
+    center = corners.mean(axis=1)
+    side = np.concatenate([corners[:, 1:], corners[:, :1]], axis=1) - corners
+    normal = np.stack([side[..., 1], -side[..., 0]], axis=2)
+    normal /= np.maximum(np.hypot(normal[..., 0], normal[..., 1]), 1e-9)[..., None]
+    reach = np.vecdot(normal, corners - center[:, None])
+    turn = np.arctan2(*np.moveaxis(np.where(reach[..., None] < 0.0, -normal, normal), 2, 0)[::-1])
+    order = np.argsort(np.mod(turn, 2.0 * math.pi), axis=1)
+    turn = np.take_along_axis(turn, order, axis=1) - TRIANGLE.normals
+    return np.concatenate([center, np.take_along_axis(np.abs(reach), order, axis=1), turn], axis=1)
+
+
+def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int]) -> Floats:
+    """Parameters (R, 8) of rows of kinds (R,) after a robust fit to the edges around each.
+
+    Every ray offers several edges; the one nearest to the present outline counts, weighed by Tukey's function
+    whose width halves with every step, from a fifth of the object to half a pixel of the searched image.
+    """
+    q = q.copy()
+    size = np.sqrt(np.maximum(_areas(kind, q), 1.0))
+    limit = 0.3 * size[:, None]
+    scale = np.maximum(0.5 * factor, 0.008 * size)
+    for step in steps:
+        width = 3.0 * np.maximum(scale, 0.2 * size * 0.5**step)
+        change = np.empty_like(q)
+        for rows, model in _models(kind):
+            distance, strength, jacobian = model(kind[rows], q[rows], edges.some(rows))
+            ratio = np.minimum(np.abs(distance) / width[rows, None].astype(np.float32), 1.0)
+            w = strength * (1.0 - ratio * ratio) ** 2
+            weighted = (jacobian * w[..., None]).transpose(0, 2, 1).astype(np.float64)
+            normal = weighted @ jacobian
+            normal += _RIDGE * (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-4)
+            change[rows] = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
+        change[:, :5] = np.clip(change[:, :5], -limit, limit)
+        change[:, 5:] = np.clip(change[:, 5:], -0.3, 0.3)
+        q -= change
+        used = q[:, 2:5] != 0.0
+        q[:, 2:5] = np.where(used, np.maximum(q[:, 2:5], 0.1 * size[:, None]), 0.0)
+    return q
+
+
+def _models(kind: Rows) -> list[tuple[Rows, Model]]:
+    """Which rows are to be measured in which way."""
+    both = (np.flatnonzero(kind < _CIRCLE), _polygons), (np.flatnonzero(kind == _CIRCLE), _circles)
+    return [(rows, model) for rows, model in both if len(rows)]
+
+
+def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, Floats32]:
+    """Distance (R, M) of each ray's nearest edge from polygons, its strength (R, M), derivatives (R, M, 8)."""
+    turn = np.take_along_axis(q, _TURN_OF[kind], axis=1) + _NORMALS[kind]
+    reach = np.take_along_axis(q, _SIZE_OF[kind], axis=1)
+    lines = np.empty((len(q), _SIDES, 3), np.float32)
+    lines[..., 0], lines[..., 1] = np.cos(turn), np.sin(turn)
+    lines[..., 2] = -(reach + lines[..., 0] * q[:, :1] + lines[..., 1] * q[:, 1:2])
+    apart = lines @ edges.points
+    distance, strength, chosen = _nearest(apart.max(axis=1), edges)
+    own = apart if chosen is None else np.take_along_axis(apart, chosen[:, None], axis=2)
+    side = own.argmax(axis=1)
+    where = np.arange(len(q))[:, None]
+    normal = lines[where, side, :2]
+    points = edges.points if chosen is None else np.take_along_axis(edges.points, chosen[:, None], axis=2)
+    jacobian = np.empty((*side.shape, _PADDED), np.float32)
+    jacobian[..., :2] = normal * _MOVES[kind, None, None]
+    jacobian[..., 2:] = _FOLLOWS[kind[:, None], side]
+    middle = q[:, :2].astype(np.float32)
+    turning = (points[:, 1] - middle[:, 1:]) * normal[..., 0] - (points[:, 0] - middle[:, :1]) * normal[..., 1]
+    jacobian[..., 5:] *= turning[..., None]
+    return distance, strength, jacobian
+
+
+def _circles(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, Floats32]:
+    """Distance (R, M) of each ray's nearest edge from circles, its strength (R, M), derivatives (R, M, 8)."""
+    del kind
+    shifted = edges.points[:, :2] - q[:, :2, None].astype(np.float32)
+    far = np.sqrt(shifted[:, 0] ** 2 + shifted[:, 1] ** 2)
+    distance, strength, chosen = _nearest(far - q[:, 2:3].astype(np.float32), edges)
+    if chosen is not None:
+        shifted = np.take_along_axis(shifted, chosen[:, None], axis=2)
+        far = np.take_along_axis(far, chosen, axis=1)
+    jacobian = np.zeros((*distance.shape, _PADDED), np.float32)
+    jacobian[..., :2] = (shifted / -np.maximum(far, 1e-6)[:, None]).transpose(0, 2, 1)
+    jacobian[..., 2] = -1.0
+    return distance, strength, jacobian
+
+
+def _nearest(distance: Floats32, edges: Edges) -> tuple[Floats32, Floats32, Rows | None]:
+    """Of the edges of each ray the nearest to the outline: distance and strength (R, M), and which it is.
+
+    The last is None where there is one edge a ray.
+    """
+    count, rays, choices = edges.weight.shape
+    if choices == 1:
+        return distance, edges.weight[..., 0], None
+    off = np.abs(distance).reshape(count, rays, choices)
+    chosen = np.where(edges.weight > 0.0, off, np.inf).argmin(axis=2) + np.arange(rays) * choices
+    strength = np.take_along_axis(edges.weight.reshape(count, -1), chosen, axis=1)
+    return np.take_along_axis(distance, chosen, axis=1), strength, chosen
+
+
+def _areas(kind: Rows, q: Floats) -> Floats:
+    """Areas (R,) of rows of kinds (R,)."""
+    out = np.empty(len(q))
+    for k, family in enumerate(_KINDS):
+        rows = np.flatnonzero(kind == k)
+        out[rows] = area(family, q[rows][:, _OWN[k]])
+    return out
+
+
+def _quality(kind: Rows, q: Floats, edges: Edges, factor: int) -> tuple[Floats, Floats, Floats]:
+    """Cost, share of inliers and size (R,) of fitted outlines, see `Hypothesis`."""
+    distance = np.empty(edges.weight.shape[:2], np.float32)
+    strength = np.empty_like(distance)
+    for rows, model in _models(kind):
+        distance[rows], strength[rows], _ = model(kind[rows], q[rows], edges.some(rows))
+    size = np.sqrt(np.maximum(_areas(kind, q), 1.0))
     tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
     off = np.abs(distance)
     valid = strength > 0.15
     inliers = np.mean((off < tolerance) & valid, axis=1)
     clipped = np.where(valid, np.minimum(off, tolerance), tolerance)
-    return np.sqrt(np.mean(clipped**2, axis=1)) / tolerance[:, 0], inliers, size
-
-
-def _starts(hull: Floats) -> dict[Shape, Floats]:
-    """Rough parameters of every family for one convex outline."""
-    points = hull.astype(np.float32)
-    (cx, cy), (w, h), turn = cv2.minAreaRect(points)
-    m = cv2.moments(points)
-    covered = max(m["m00"], 1.0)
-    center = np.array([m["m10"], m["m01"]]) / m["m00"] if m["m00"] > 1e-6 else hull.mean(axis=0)
-    rectangle = np.array([cx, cy, max(w, 1.0) / 2, max(h, 1.0) / 2, math.radians(turn)])
-    circle = np.array([*center, math.sqrt(covered / math.pi)])
-    # The sixth harmonic of the support function points at the sides' normals.
-    reach = (hull - center) @ DIRECTIONS.T
-    support = reach.max(axis=0)
-    phase = np.angle(support @ _SIXTH)
-    hexagon = np.array([*center, math.sqrt(covered / (2.0 * math.sqrt(3.0))), phase / 6.0 + math.pi / 6.0])
-    # Three far corners of the hull: the farthest from the centre, from that, and from the line between both.
-    first = hull[np.argmax(np.sum((hull - center) ** 2, axis=1))]
-    second = hull[np.argmax(np.sum((hull - first) ** 2, axis=1))]
-    along = second - first
-    third = hull[np.argmax(np.abs((hull[:, 0] - first[0]) * along[1] - (hull[:, 1] - first[1]) * along[0]))]
-    triangle = from_polygon(np.stack([first, second, third]))
-    return {CIRCLE.shape: circle, HEXAGON.shape: hexagon, RECTANGLE.shape: rectangle, TRIANGLE.shape: triangle}
+    return np.sqrt(np.mean(clipped * clipped, axis=1)) / tolerance[:, 0], inliers, size

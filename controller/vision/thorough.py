@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from controller.geometry import PlaneMap
 from controller.vision.background import Whitened
-from controller.vision.fitting import Hypothesis, fit_all
+from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.proposals import Region, split_necks
-from controller.vision.rays import find_edges, radial_profile
+from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
 from controller.vision.scene import Judged, Scene
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import feet
@@ -105,11 +105,8 @@ def _fits(
     count, rays, choices = weight.shape
     flat = edges.reshape(count, rays * choices, 2) * factor + (factor - 1) / 2.0
     local = maps.all_to_local(flat).reshape(count, rays, choices, 2)
-    hulls = [
-        maps.to_local(i, cv2.convexHull(item.contour)[:, 0].astype(np.float64) * factor + (factor - 1) / 2.0)
-        for i, item in enumerate(regions)
-    ]
-    fits = fit_all(hulls, local, weight, factor)
+    around = maps.all_to_local((centers[:, None] + radii[..., None] * DIRECTIONS) * factor + (factor - 1) / 2.0)
+    fits = fit_all(around, edges_of(local, weight), factor)
     watch.lap("fit")
     return regions, maps, fits
 
