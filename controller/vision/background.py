@@ -48,13 +48,13 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     """
     height, width = image.shape[:2]
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
-    ys, xs = np.mgrid[step // 2 : height : step, step // 2 : width : step]
-    ys, xs = ys.ravel(), xs.ravel()
+    grid = slice(step // 2, None, step)
     reference = image if empty is None else image - empty
-    samples = reference[ys, xs].astype(np.float64)
-    coefficients, order, weight = _robust_surface(samples, xs / width - 0.5, ys / height - 0.5)
-    surface = _surface(coefficients, order, height, width)
-    rest = (reference[ys, xs] - surface[ys, xs]).astype(np.float64)
+    y, x = np.arange(height, dtype=np.float64)[grid] / height - 0.5, np.arange(width, dtype=np.float64)[grid] / width - 0.5
+    samples = _columns(reference[grid, grid])
+    coefficients, weight = _robust_surface(samples, np.tile(x, len(y)), np.repeat(y, len(x)))
+    surface = _surface(coefficients, height, width)
+    rest = samples - _columns(surface[grid, grid])
     covariance = _robust_covariance(rest, weight) + np.eye(3) * _NOISE_FLOOR**2 / 3.0
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     matrix = whitener.astype(np.float32)
@@ -63,35 +63,50 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     else:
         out = np.zeros(image.shape, np.float32)
         out[box] = cv2.transform(cv2.subtract(reference[box], surface[box]), matrix)
-    colour = np.average(image[ys, xs], axis=0, weights=weight + 1e-9)
+    colour = np.average(_columns(image[grid, grid]), axis=1, weights=weight + 1e-9)
     return Whitened(out, whitener, np.asarray(colour, np.float64))
 
 
-def _powers(order: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+_POWERS = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]
+"""Exponents of x and y in the terms of a cubic polynomial: those of each order come after those below."""
+_TERMS = (1, 3, 6, 10)
+"""How many terms polynomials of order 0, 1, ... have."""
 
 
-def _robust_surface(samples: Floats, x: Floats, y: Floats) -> tuple[Floats, int, Floats]:
-    """Polynomial of growing order through most samples; returns coefficients, order and final weights."""
+def _terms(x: Floats, y: Floats) -> Floats:
+    """The terms (10, N) of a cubic polynomial at N places."""
+    xs, ys = (np.stack([np.ones_like(v), v, v * v, v * v * v]) for v in (x, y))
+    return np.stack([xs[i] * ys[j] for i, j in _POWERS])
+
+
+def _columns(values: Floats32) -> Floats:
+    """Pixels (H, W, 3) as one row a channel, (3, H * W): rows are summed and sorted much faster than columns."""
+    return np.ascontiguousarray(values.reshape(-1, 3).T, np.float64)
+
+
+def _robust_surface(samples: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Polynomial of growing order through most samples (3, N); returns coefficients (T, 3) and final weights (N,)."""
     low, width = _shortest(samples)
-    start = low + 0.5 * width
-    rest = samples - start
-    weight = np.ones(len(samples))
-    coefficients, order = start[None], 0
+    rest = samples - (low + 0.5 * width)[:, None]
+    weight = np.ones(samples.shape[1])
+    terms = _terms(x, y)
+    coefficients = np.zeros((1, 3))
     for order in (1, 1, 1, 2, 2, 3, 3):
-        spread = np.sqrt(np.sum((rest / _scale(rest)) ** 2, axis=1) / samples.shape[1])
-        ratio = np.minimum(spread / 3.0, 1.0)
-        weight = (1.0 - ratio**2) ** 2
-        basis = np.stack([x**i * y**j for i, j in _powers(order)], axis=1)
-        weighted = basis * weight[:, None]
-        normal = weighted.T @ basis + np.eye(basis.shape[1]) * 1e-9 * len(samples)
-        coefficients = np.linalg.solve(normal, weighted.T @ samples)
-        rest = samples - basis @ coefficients
-    return coefficients, order, weight
+        scaled = rest / _scale(rest)[:, None]
+        # Weights are Tukey's, zero at three standard deviations of the mean over the channels.
+        kept = 1.0 - np.minimum(np.einsum("cn,cn->n", scaled, scaled) / (9.0 * len(samples)), 1.0)
+        weight = kept * kept
+        basis = terms[: _TERMS[order]]
+        weighted = basis * weight
+        normal = weighted @ basis.T
+        normal.flat[:: len(basis) + 1] += 1e-9 * len(weight)
+        coefficients = np.linalg.solve(normal, weighted @ samples.T)
+        rest = samples - coefficients.T @ basis
+    return coefficients, weight
 
 
 def _scale(rest: Floats) -> Floats:
-    """Robust standard deviation of each column, from its shortest interval that holds 45 % of the values.
+    """Robust standard deviation of each row, from its shortest interval that holds 45 % of the values.
 
     Unlike the median absolute deviation it is hardly inflated by objects that cover 40 % of the table.
     """
@@ -101,38 +116,36 @@ def _scale(rest: Floats) -> Floats:
 
 
 def _shortest(values: Floats) -> tuple[Floats, Floats]:
-    """Start and width of the shortest interval with 45 % of the values, for each column."""
-    # Rows are sorted much faster than columns.
-    ordered = np.sort(np.ascontiguousarray(values.T), axis=1)
+    """Start and width of the shortest interval with 45 % of the values, for each row."""
+    ordered = np.sort(values.astype(np.float32), axis=1)
     count = max(1, int(0.45 * ordered.shape[1]))
     widths = ordered[:, count:] - ordered[:, :-count]
     best = widths.argmin(axis=1)
-    columns = np.arange(len(ordered))
-    return ordered[columns, best], widths[columns, best]
+    rows = np.arange(len(ordered))
+    return ordered[rows, best].astype(np.float64), widths[rows, best].astype(np.float64)
 
 
-def _surface(coefficients: Floats, order: int, height: int, width: int) -> Floats32:
+def _surface(coefficients: Floats, height: int, width: int) -> Floats32:
     """The polynomial at every pixel, by way of a coarse grid: it is smooth."""
     rows, cols = 19, 33
-    y, x = np.mgrid[0:rows, 0:cols]
-    px = (x + 0.5) / cols - 0.5
-    py = (y + 0.5) / rows - 0.5
-    basis = np.stack([px**i * py**j for i, j in _powers(order)], axis=2)
-    grid = (basis @ coefficients).astype(np.float32)
+    y, x = (np.arange(rows) + 0.5) / rows - 0.5, (np.arange(cols) + 0.5) / cols - 0.5
+    terms = _terms(np.tile(x, rows), np.repeat(y, cols))[: len(coefficients)]
+    grid = (terms.T @ coefficients).astype(np.float32).reshape(rows, cols, 3)
     # Bilinear resizing replicates the rim of half a cell; cubic surfaces bend little there.
     return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _robust_covariance(rest: Floats, weight: Floats) -> Floats:
-    """Covariance of what belongs to the table, by three rounds of trimming at 3 sigma."""
+    """Covariance (3, 3) of what belongs to the table among rows (3, N), by three rounds of trimming at 3 sigma."""
     keep = weight > 0.0
     covariance = np.eye(3)
     for _ in range(3):
-        chosen = rest[keep]
-        if len(chosen) < 20:
+        chosen = rest[:, keep]
+        if chosen.shape[1] < 20:
             break
         # 3-sigma trimming of a 3-D normal keeps 97 %; what is lost is far below the texture's variation.
-        covariance = np.cov(chosen.T) + np.eye(3) * 1e-6
-        distance = np.einsum("ni,ij,nj->n", rest, np.linalg.inv(covariance), rest, optimize=True)
+        chosen = chosen - chosen.mean(axis=1, keepdims=True)
+        covariance = chosen @ chosen.T / (chosen.shape[1] - 1) + np.eye(3) * 1e-6
+        distance = np.einsum("cn,cn->n", np.linalg.inv(covariance) @ rest, rest)
         keep = distance < 9.0 + 2.2
     return np.asarray(covariance)
