@@ -21,6 +21,8 @@ from controller.vision.timing import Stopwatch
 from controller.vision.trial import settled
 from controller.vision.verdict import judge
 
+_SMOOTH = cv2.getGaussianKernel(7, 1.0)
+
 
 def search(
     image: NDArray[np.uint8],
@@ -75,7 +77,7 @@ def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
     if factor > 1:
         size = (image.shape[1] // factor, image.shape[0] // factor)
         clean = cv2.resize(clean[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), 1.0), np.float32)
+    return np.asarray(cv2.sepFilter2D(clean, cv2.CV_32F, _SMOOTH, _SMOOTH), np.float32)
 
 
 def _box(mask: NDArray[np.uint8]) -> Box | None:
