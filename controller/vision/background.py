@@ -50,7 +50,7 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
     grid = slice(step // 2, None, step)
     reference = image if empty is None else image - empty
-    y, x = np.arange(height, dtype=np.float64)[grid] / height - 0.5, np.arange(width, dtype=np.float64)[grid] / width - 0.5
+    y, x = (np.arange(length, dtype=np.float64)[grid] / length - 0.5 for length in (height, width))
     samples = _columns(reference[grid, grid])
     coefficients, weight = _robust_surface(samples, np.tile(x, len(y)), np.repeat(y, len(x)))
     surface = _surface(coefficients, height, width)

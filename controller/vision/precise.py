@@ -55,7 +55,7 @@ def search(
     if not scene.sides:
         scene, clear = clear_objects(scene, strength, settings.level, smallest)
         watch.lap("clear")
-    regions, maps = propose(white, strength, settings.level, smallest, settled(clear, factor).explains, box)
+    regions, maps = propose(white, strength, settings.level, smallest, settled(clear, scene).unexplained, box)
     if trace is not None:
         for name, values in maps.items():
             trace[name] = np.clip(4.0 * values, 0.0, 255.0).astype(np.uint8)

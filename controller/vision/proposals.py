@@ -12,14 +12,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from controller.vision.background import Box, Whitened
 
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
-Known = Callable[[Sequence[int]], bool]
-"""Whether what fills a rectangle (x, y, width, height) is known already."""
+Contour = MatLike
+Unknown = Callable[[Sequence[Contour]], list[Contour]]
+"""Of contours, shape (N, 1, 2), those that show nothing known already."""
 
 
 _ZONE = 3.0
@@ -54,7 +56,7 @@ def level_strength(white: Whitened) -> Floats32:
 
 
 def propose(
-    white: Whitened, strength: Floats32, level: float, smallest: float, known: Known, box: Box | None = None
+    white: Whitened, strength: Floats32, level: float, smallest: float, unknown: Unknown, box: Box | None = None
 ) -> tuple[list[Region], dict[str, Floats32]]:
     """Regions worth a closer look, and the strength maps they came from.
 
@@ -63,38 +65,40 @@ def propose(
         strength: Its `level_strength`.
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
-        known: Whether what fills a rectangle (x, y, width, height) is an object that is known already.
+        unknown: Leaves out contours of objects that are known already.
         box: Rows and columns to look at; the maps are of this part only.
     """
     if box is not None:
-        left, top = box[1].start, box[0].start
+        corner = np.array([box[1].start, box[0].start], np.int32)
+
+        def beyond(contours: Sequence[Contour]) -> list[Contour]:
+            return [contour - corner for contour in unknown([contour + corner for contour in contours])]
+
         part = replace(white, difference=white.difference[box])
-        regions, maps = propose(
-            part, strength[box], level, smallest, lambda r: known((r[0] + left, r[1] + top, r[2], r[3]))
-        )
-        corner = np.array([left, top], np.float32)
+        regions, maps = propose(part, strength[box], level, smallest, beyond)
         return [replace(item, contour=item.contour + corner) for item in regions], maps
-    chroma = _chroma(white)
+    chroma = _chroma(white, strength)
     edges = _edge_energy(white.difference)
+    typical = float(np.median(edges[::4, ::4]))
     regions = []
     for cue, image in (("level", strength), ("chroma", chroma)):
-        regions += _components(image, level, smallest, cue, known)
-    regions += _edge_regions(edges, smallest, known)
-    regions += _zones(edges, smallest, known)
+        regions += _components(image, level, smallest, cue, unknown)
+    regions += _edge_regions(edges, typical, smallest, unknown)
+    regions += _zones(edges, typical, smallest, unknown)
     return regions, {"strength": strength, "chroma": chroma, "edges": edges}
 
 
-def _chroma(white: Whitened) -> Floats32:
+def _chroma(white: Whitened, strength: Floats32) -> Floats32:
     """Strength of the colour difference that no shadow can make.
 
     A shadow scales the table's colour, that is, it moves a pixel along that colour; what is perpendicular to it,
     in whitened units, must be an object.
     """
-    along = white.whitener @ white.table_colour
-    along /= max(float(np.linalg.norm(along)), 1e-9)
-    across = np.linalg.svd(along[None])[2][1:]
-    first, second = (cv2.transform(white.difference, row[None].astype(np.float32)) for row in across)
-    return np.asarray(cv2.magnitude(first, second), np.float32)
+    shade = white.whitener @ white.table_colour
+    shade /= max(float(np.linalg.norm(shade)), 1e-9)
+    along = cv2.transform(white.difference, shade[None].astype(np.float32))
+    across = cv2.subtract(cv2.multiply(strength, strength), cv2.multiply(along, along))
+    return np.asarray(cv2.sqrt(cv2.max(across, 0.0)), np.float32)
 
 
 def _edge_energy(difference: Floats32) -> Floats32:
@@ -106,12 +110,12 @@ def _edge_energy(difference: Floats32) -> Floats32:
     return np.asarray(cv2.transform(magnitude, np.ones((1, 3), np.float32)), np.float32)
 
 
-def _components(image: Floats32, level: float, smallest: float, cue: str, known: Known) -> list[Region]:
+def _components(image: Floats32, level: float, smallest: float, cue: str, unknown: Unknown) -> list[Region]:
     """Regions above `level`, and within each what lies above half and above a fifth of its own strength.
 
     Half is where the edge of an evenly coloured object lies; a fifth holds objects with glints and dark sides.
     """
-    mask = _unknown(np.asarray(cv2.threshold(image, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8), known)
+    mask = _unknown(_above(image, level), unknown)
     if mask is None:
         return []
     count, labels = cv2.connectedComponents(mask, connectivity=4, ltype=cv2.CV_16U)
@@ -132,29 +136,29 @@ def _components(image: Floats32, level: float, smallest: float, cue: str, known:
     )
 
 
-def _edge_regions(edges: Floats32, smallest: float, known: Known) -> list[Region]:
+def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
     """Hulls of connected strong edges."""
-    typical = float(np.median(edges[::3, ::3]))
-    mask = (edges > 3.5 * typical).astype(np.uint8)
+    mask = _above(edges, 3.5 * typical)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     found = []
-    for region in _contours(mask, smallest, "edge", known=known):
+    for region in _contours(mask, smallest, "edge", unknown=unknown):
         hull = np.asarray(cv2.convexHull(region.contour)[:, 0], np.float32)
         area = float(cv2.contourArea(hull))
         found.append(Region(hull, area, "edge", 1.0))
     return found
 
 
-def _zones(edges: Floats32, smallest: float, known: Known) -> list[Region]:
+def _zones(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
     """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
-    typical = float(np.median(edges[::3, ::3]))
-    flat = (edges < _ZONE * typical).astype(np.uint8)
+    flat = 1 - _above(edges, _ZONE * typical)
     contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    # The fourth entry is the parent: holes have one, outer boundaries none.
+    outer = [
+        contour for contour, links in zip(contours, hierarchy[0] if contours else (), strict=True)
+        if links[3] < 0 and len(contour) >= 8
+    ]  # fmt: skip
     out = []
-    for index, contour in enumerate(contours):
-        # Its fourth entry is the parent: holes have one, outer boundaries none.
-        if len(contour) < 8 or hierarchy[0, index, 3] >= 0 or known(cv2.boundingRect(contour)):
-            continue
+    for contour in unknown(outer):
         area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
         if area < 0.25 * smallest or area > 0.3 * edges.size:
             continue
@@ -180,33 +184,32 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     return np.asarray(hull + by * both / length, np.float32)
 
 
-def _nothing(rectangle: Sequence[int]) -> bool:
-    """Knows no objects."""
-    return False
+def _above(image: Floats32, level: float) -> Mask:
+    """1 where an image exceeds a level, else 0."""
+    return np.asarray(cv2.threshold(image, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8)
 
 
-def _unknown(mask: Mask, known: Known) -> Mask | None:
+def _unknown(mask: Mask, unknown: Unknown) -> Mask | None:
     """The components of a mask that are not known; None when there are none."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    kept = [contour for contour in contours if not known(cv2.boundingRect(contour))]
+    kept = unknown(contours)
     if not kept or len(kept) == len(contours):
         return mask if kept else None
     return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (1,), cv2.FILLED), np.uint8)
 
 
-def _contours(mask: Mask, smallest: float, cue: str, core: bool = False, known: Known = _nothing) -> list[Region]:
+def _contours(
+    mask: Mask, smallest: float, cue: str, core: bool = False, unknown: Unknown = list
+) -> list[Region]:
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
-    for contour in contours:
-        if len(contour) < 8 or known(cv2.boundingRect(contour)):
-            continue
-        points = contour[:, 0].astype(np.float32)
+    for contour in unknown([contour for contour in contours if len(contour) >= 8]):
         # The polygon through pixel centres misses half a pixel all around.
         area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
         if area < smallest:
             continue
         hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
-        out.append(Region(points, area, cue, min(1.0, area / hull), core))
+        out.append(Region(contour[:, 0].astype(np.float32), area, cue, min(1.0, area / hull), core))
     return out
 
 

@@ -22,7 +22,7 @@ from controller.vision.scene import Judged, Scene
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import feet
 from controller.vision.timing import Stopwatch
-from controller.vision.trial import Settled, settled, tried, typical_blur
+from controller.vision.trial import settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def open_objects(
     Returns:
         The scene with all regions, and the outlines.
     """
-    shape, factor = scene.white.difference.shape, scene.factor
+    shape = scene.white.difference.shape
     share = 0.02 if scene.sides else 0.06
     regions = _distinct(regions, shape, share)
     # First what stands out clearly; the costlier guesses only where that left something open.
@@ -54,11 +54,11 @@ def open_objects(
     later = [item for item, use in zip(regions, plain, strict=True) if not use]
     blur = typical_blur(clear, 1.0)
     scene, first, judged = _round(scene, first, blur, watch)
-    done = settled([*clear, *judged], factor)
-    open_ = [item for item in first if item.cue != "zone" and not _explained(item, done)]
-    rest = [item for item in later if not _explained(item, done)]
+    done = settled([*clear, *judged], scene)
+    open_ = [item for item in first if item.cue != "zone" and not done.explains(item.contour)]
+    rest = [item for item in later if not done.explains(item.contour)]
     pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
-    pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not _explained(item, done)]
+    pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
     scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), watch)
     return scene, [*judged, *more]
 
@@ -76,11 +76,6 @@ def _round(
     judged = _refined(scene, fits, blur)
     watch.lap("refine")
     return scene, regions, judged
-
-
-def _explained(region: Region, done: Settled) -> bool:
-    """Whether a region is covered by a settled outline and not much larger than it."""
-    return done.explains(cv2.boundingRect(region.contour))
 
 
 def _fits(
@@ -122,8 +117,8 @@ def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Ju
         wanted = []
         done = {j.hypothesis.region for j in judged if j.badness < 0.7}
         if rank and not scene.sides:
-            clear = settled(judged, scene.factor)
-            done |= {i for i, item in enumerate(scene.regions) if _explained(item, clear)}
+            clear = settled(judged, scene)
+            done |= {i for i, item in enumerate(scene.regions) if clear.explains(item.contour)}
         for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
             h = options[rank]
             if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:

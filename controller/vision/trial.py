@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.fitting import Hypothesis
+from controller.vision.proposals import Contour
 from controller.vision.refine import Refined, refine
 from controller.vision.scene import Judged, Scene, whole
 from controller.vision.shapes import area, vertices
@@ -69,29 +70,42 @@ def _slack(scene: Scene, outlines: list[Floats]) -> list[float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """Outlines that need no further guess: polygons, and their boxes (K, 2) low and high; all px."""
+    """Outlines that need no further guess.
 
-    polygons: list[NDArray[np.float32]]
-    low: Floats
-    high: Floats
-    factor: int
+    Attributes:
+        owner: ndarray of shape (H, W), dtype int32, of the searched image: which outline each pixel lies in, counted
+            from 1; 0 for none.
+        size: ndarray of shape (K + 1, 2): width and height of each outline's box, px of the searched image.
+    """
 
-    def explains(self, rectangle: Sequence[int]) -> bool:
-        """Whether what fills a rectangle (x, y, w, h) of the searched image is one of the outlines, not much more."""
-        if not self.polygons:
-            return False
-        x, y, w, h = (float(v) * self.factor for v in rectangle)
-        middle = (x + 0.5 * w, y + 0.5 * h)
-        for i in np.flatnonzero(((self.low <= middle) & (self.high >= middle)).all(axis=1)):
-            if cv2.pointPolygonTest(self.polygons[i], middle, False) > 0.0:
-                size = self.high[i] - self.low[i]
-                return w * h < 1.6 * float(size[0] * size[1]) + 8.0 * self.factor * float(size.sum())
-        return False
+    owner: NDArray[np.int32]
+    size: Floats
+
+    def unexplained(self, contours: Sequence[Contour]) -> list[Contour]:
+        """Of contours (N, 1, 2) in the searched image those that are not one of the outlines, or a part of it."""
+        if not contours:
+            return []
+        if len(self.size) < 2:
+            return list(contours)
+        x, y, w, h = np.array([cv2.boundingRect(contour) for contour in contours]).T
+        rows, columns = self.owner.shape
+        owner = self.owner[np.clip(y + h // 2, 0, rows - 1), np.clip(x + w // 2, 0, columns - 1)]
+        own = self.size[owner]
+        known = (owner > 0) & (w * h < 1.6 * own[:, 0] * own[:, 1] + 8.0 * own.sum(axis=1))
+        return [contour for contour, skip in zip(contours, known.tolist(), strict=True) if not skip]
+
+    def explains(self, contour: NDArray[np.float32]) -> bool:
+        """Whether a contour (N, 2) is one of the outlines, or a part of it."""
+        return not self.unexplained([contour])
 
 
-def settled(judged: Sequence[Judged], factor: int) -> Settled:
-    """The outlines that are seen completely and fit well; `factor` is how many times smaller the searched image is."""
+def settled(judged: Sequence[Judged], scene: Scene) -> Settled:
+    """The outlines that are seen completely and fit well."""
     outlines = [item.outline for item in judged if whole(item)]
-    low = np.array([o.min(axis=0) for o in outlines]).reshape(-1, 2)
-    high = np.array([o.max(axis=0) for o in outlines]).reshape(-1, 2)
-    return Settled([o.astype(np.float32) for o in outlines], low, high, factor)
+    owner = np.zeros(scene.white.difference.shape[:2], np.int32)
+    size = np.zeros((len(outlines) + 1, 2))
+    for number, outline in enumerate(outlines, start=1):
+        small = (outline - (scene.factor - 1) / 2.0) / scene.factor
+        size[number] = small.max(axis=0) - small.min(axis=0)
+        cv2.fillConvexPoly(owner, np.rint(small).astype(np.int32), (float(number),))
+    return Settled(owner, size)
