@@ -76,7 +76,7 @@ def propose(
 
         part = replace(white, difference=white.difference[box])
         regions, maps = propose(part, strength[box], level, smallest, beyond)
-        return [replace(item, contour=item.contour + corner) for item in regions], maps
+        return [replace(item, contour=item.contour + corner.astype(np.float32)) for item in regions], maps
     chroma = _chroma(white, strength)
     edges = _edge_energy(white.difference)
     typical = float(np.median(edges[::4, ::4]))
@@ -98,7 +98,7 @@ def _chroma(white: Whitened, strength: Floats32) -> Floats32:
     shade /= max(float(np.linalg.norm(shade)), 1e-9)
     along = cv2.transform(white.difference, shade[None].astype(np.float32))
     across = cv2.subtract(cv2.multiply(strength, strength), cv2.multiply(along, along))
-    return np.asarray(cv2.sqrt(cv2.max(across, 0.0)), np.float32)
+    return np.asarray(cv2.sqrt(np.maximum(across, 0.0)), np.float32)
 
 
 def _edge_energy(difference: Floats32) -> Floats32:
