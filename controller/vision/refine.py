@@ -138,7 +138,9 @@ def _refine(
     for _ in range(_LOOKS):
         at = batch.some(rows)
         reach = np.minimum(np.maximum(4.0, 4.0 * at.blur), np.maximum(3.0, 0.3 * size[rows]))
-        state = fit(look(image, noise, at, maps, size[rows], reach), at, _STEPS)
+        # Outlines that run away leave the range of numbers; `_verdicts` drops them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            state = fit(look(image, noise, at, maps, size[rows], reach), at, _STEPS)
         batch.q[rows], batch.blur[rows] = at.q, at.blur
         far = _travelled(at, state) > _NEAR
         far |= np.minimum(4.0 * at.blur, 0.3 * size[rows]) > 1.15 * reach
