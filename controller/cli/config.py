@@ -1,4 +1,4 @@
-"""`controller config`: check, show and explain a cell's configuration."""
+"""`controller config`: begin, check, show and explain a cell's configuration."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
 from controller.cycle.preflight import check as preflight
 from controller.domain import CellCalibration
+from controller.errors import InputError
 from controller.motion.planner import Planner
 from controller.vision.recipe import load_recipe
 
-group = typer.Typer(help="Check, show and explain a cell's configuration.", no_args_is_help=True)
+group = typer.Typer(help="Begin, check, show and explain a cell's configuration.", no_args_is_help=True)
 
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="The cell's TOML file (default: the simulated cell).")
@@ -67,6 +68,26 @@ def show(config: ConfigFile = None, as_json: AsJson = False) -> None:
     for key, value in _flat(cell.model_dump(mode="json")):
         table.add_row(key, json.dumps(value))
     stdout().print(table)
+
+
+@group.command()
+def new(
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write; it must not exist.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write the commented start of a real cell's configuration.
+
+    Example: controller config new cell.toml
+    """
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(shipped("cell.toml").read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror or error}", "name a new file in a folder you may write to") from error
+    if as_json:
+        print(json.dumps({"config": str(out)}))
+        return
+    print(f"written to {out}: measure what it asks for, then controller config check --config {out}")
 
 
 @group.command()
