@@ -489,7 +489,7 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         seed=options.seed,
         level=str(options.level),
         disturb=options.disturb,
-        heights={part.shape: part.height_mm for part in config.parts},
+        heights={shape: config.part(shape).height_mm for shape in Shape},
         kinds=tuple(
             Kind(kind.name, kind.shape, kind.colour, kind.marking, kind.width_mm) for kind in config.simulated_kinds
         ),

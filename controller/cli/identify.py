@@ -14,7 +14,7 @@ from rich.table import Table
 
 from controller.backends import Level
 from controller.calibration.identified import IDENTIFICATION, save_identified, to_json
-from controller.calibration.store import CAMERA
+from controller.calibration.store import ARM
 from controller.cli.interrupts import exit_code, on_interrupt
 from controller.cli.motion import AsJson, ConfigFile, LevelOf, Seed, Sim, manual_options
 from controller.cli.output import stdout
@@ -45,7 +45,7 @@ def identify(
     """
     options = manual_options(config, sim, seed, level, None, None)
     folder = calibration if calibration is not None or sim else state_folder() / "calibration"
-    if folder is not None and (folder / CAMERA).is_file():
+    if folder is not None and (folder / ARM).is_file():
         options = replace(options, calibration=folder)
     stopping = "stopping: the arm slows down along its path and holds; once more gives up waiting"
     with manual_cell(options) as cell, on_interrupt(cell.arm.request_stop, stopping) as received:

@@ -121,7 +121,7 @@ def annotated_pictures(folder: Path) -> Iterator[tuple[Path, list[Annotated]]]:
             entries = [
                 (path.parent / image["file"], [_annotated(entry) for entry in image["objects"]]) for image in images
             ]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             remedy = "see the format in controller/insight/images_evaluation.py"
             raise InputError(f"{path} is not as expected ({type(error).__name__}: {error})", remedy) from error
         yield from entries
@@ -130,6 +130,8 @@ def annotated_pictures(folder: Path) -> Iterator[tuple[Path, list[Annotated]]]:
 def _annotated(entry: Mapping[str, Any]) -> Annotated:
     u, v = entry["centre_px"]
     x, y, width, height = (float(value) for value in entry["bbox_px"])
+    if not all(map(math.isfinite, (float(u), float(v), x, y, width, height))):
+        raise ValueError("a figure is not finite")
     flags = frozenset(key for key, value in entry.items() if value is True)
     return Annotated(Shape(entry["class"]), (float(u), float(v)), (x, y, width, height), flags, entry.get("note", ""))
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from controller.backends import DEVICES, BackendOptions, Level, Mode, nominal_camera
 from controller.calibration.identified import load_identified
-from controller.calibration.store import CAMERA, load_calibration
+from controller.calibration.store import ARM, load_calibration
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
 from controller.domain import ArmState, Array, CellCalibration, Trajectory
@@ -111,7 +111,7 @@ def calibration_folder(options: ManualOptions) -> Path | None:
     if options.calibration is not None or options.sim:
         return options.calibration
     stored = state_folder() / "calibration"
-    return stored if (stored / CAMERA).is_file() else None
+    return stored if (stored / ARM).is_file() else None
 
 
 def calibration_of(options: ManualOptions) -> CellCalibration:

@@ -9,9 +9,9 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-# 40 examples by default, 2000 with `--hypothesis-profile=study`. Files lie in one folder for all examples of a test.
+# 25 examples by default, 2000 with `--hypothesis-profile=study`. Files lie in one folder for all examples of a test.
 HOSTILE = settings(
-    max_examples=2000 if settings.get_current_profile_name() == "study" else 40,
+    max_examples=2000 if settings.get_current_profile_name() == "study" else 25,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -67,22 +67,34 @@ def mutated(draw: st.DrawFn, document: Any) -> Any:
     return changed
 
 
-@st.composite
-def spoiled(draw: st.DrawFn, data: bytes) -> bytes:
+_EDITS = st.lists(
+    st.tuples(
+        st.sampled_from(["flip", "overwrite", "cut", "insert", "repeat"]),
+        st.integers(0, 2**20),
+        st.binary(min_size=1, max_size=64),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+def spoiled(data: bytes) -> st.SearchStrategy[bytes]:
     """The bytes with a few flipped, overwritten, cut off, inserted or repeated."""
+    return _EDITS.map(lambda edits: _edited(data, edits))
+
+
+def _edited(data: bytes, edits: list[tuple[str, int, bytes]]) -> bytes:
     changed = bytearray(data)
-    for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.integers(0, max(len(changed) - 1, 0)))
-        action = draw(st.sampled_from(["flip", "overwrite", "cut", "insert", "repeat"]))
-        if action == "flip" and changed:
-            changed[at] ^= 1 << draw(st.integers(0, 7))
+    for action, place, piece in edits:
+        at = place % (len(changed) + 1)
+        if action == "flip" and at < len(changed):
+            changed[at] ^= 1 << piece[0] % 8
         elif action == "overwrite":
-            piece = draw(st.binary(min_size=1, max_size=64))
             changed[at : at + len(piece)] = piece
         elif action == "cut":
             del changed[at:]
         elif action == "insert":
-            changed[at:at] = draw(st.binary(min_size=1, max_size=64))
+            changed[at:at] = piece
         else:
             changed[at:at] = changed[at : at + 512]
     return bytes(changed)

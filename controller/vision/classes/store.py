@@ -141,7 +141,7 @@ def load_class(path: Path) -> TaughtClass:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             views, prints = np.asarray(arrays["views"], np.float32), np.asarray(arrays["prints"])
-    except (ValueError, KeyError, OSError) as error:
+    except Exception as error:  # numpy lets through whatever its readers of archives and headers stumble over
         raise InputError(f"{file} is damaged ({error})", again) from error
     if views.shape != (record.views, LENGTH) or not np.isfinite(views).all():
         raise InputError(f"{file} holds {views.shape} figures, not ({record.views}, {LENGTH}) finite ones", again)
