@@ -18,6 +18,7 @@ from controller.errors import SorterError
 from controller.insight.images_evaluation import annotated_pictures
 from controller.service.requests import READING, BadRequest, Commands, parse
 from controller.vision.classes.features import LENGTH
+from controller.vision.classes.markings import SIDE
 from controller.vision.classes.store import TaughtClass, load_classes, save_class
 from controller.vision.read import read_image
 from drivers.arm.protocol import Status, StatusParser, fast_blocks
@@ -165,6 +166,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], by
     """The two files of a class, as teaching writes them."""
     folder = tmp_path_factory.mktemp("classes")
     views = np.random.default_rng(1).normal(size=(6, LENGTH)).astype(np.float32)
-    path = save_class(folder, TaughtClass("star", "px", views, ("a.png",)))
+    prints = np.zeros((6, SIDE, SIDE), np.uint8)
+    path = save_class(folder, TaughtClass("star", "px", views, ("a.png",) * 6, prints))
     record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return record, (folder / record["data"]).read_bytes()
