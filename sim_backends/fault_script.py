@@ -185,6 +185,16 @@ class FaultDirector:
                 else:
                     self._strike(fault)
 
+    def repair(self) -> None:
+        """Somebody has put everything right: plugs, supply, what is in the way; faulted servos switched off and on."""
+        self._bus.heal()
+        self._bus.faults.set_rate(Fault.CORRUPT, 0.0)
+        for servo_id in self._bus.servo_ids:
+            self._world.block(servo_id, False)
+            if self._bus.servo(servo_id).health.bits:
+                self._bus.strike(Fault.REBOOT, servo_id)
+        self.ledger_unwritable = False
+
     # --- inside -------------------------------------------------------------------------------------------
 
     def _plan(self, at: float, fault: ScriptedFault) -> None:

@@ -285,6 +285,11 @@ class World:
         self._past_times.append(now)
         self._past.append((self.part_poses(), self.held))
 
+    def forget(self, before: float) -> None:
+        """Keep no more of the past than from a time (s) on; a long run would fill the memory with it."""
+        first = bisect_left(self._past_times, before)
+        del self._past_times[:first], self._past[:first]
+
     # --- what people do to it ---------------------------------------------------------------------------
 
     def set_aside(self) -> None:

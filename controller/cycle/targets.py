@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from controller.domain import LocatedObject, PickPlan
+from controller.domain import LocatedObject, PickPlan, Shape
 
 VERY_PLACE_MM = 15.0
 """Nearer than half of the narrowest part (34 mm) there is room for one part only, whatever it was taken for."""
@@ -22,6 +22,9 @@ REST = 3
 """Parts taken away meanwhile may have been what stood in the way of one that could not be gripped."""
 SAME_SIZE_MM = 3.0
 """Two looks at one part differ by less: size sigma 0.3 mm, plus what a side face can add near the border."""
+
+GONE_AFTER = 3
+"""Looks in a row that do not show what was given up, after which somebody has taken it: the next there is new."""
 
 
 @dataclass(slots=True)
@@ -50,6 +53,25 @@ class Target:
     rests_until: int = 0
 
 
+@dataclass(slots=True)
+class _GivenUp:
+    """What was given up and is left alone while it lies there; without its picture, as there may be many.
+
+    Attributes:
+        unseen: Looks in a row that did not show it.
+    """
+
+    center: tuple[float, float]
+    shape: Shape
+    size: tuple[float, float]
+    unseen: int = 0
+
+    def is_(self, thing: LocatedObject) -> bool:
+        """Whether an object seen now is this one."""
+        distance = math.dist(thing.center, self.center)
+        return distance <= VERY_PLACE_MM or (distance <= SAME_PLACE_MM and _alike(thing, self))
+
+
 class TargetBook:
     """The open targets of a run."""
 
@@ -57,7 +79,7 @@ class TargetBook:
         self._prefix = prefix
         self._count = 0
         self._open: dict[str, Target] = {}
-        self._given_up: list[LocatedObject] = []
+        self._given_up: list[_GivenUp] = []
         self._previous: list[tuple[float, float]] = []
 
     @property
@@ -103,6 +125,9 @@ class TargetBook:
         named = [dataclasses.replace(thing, target_id=ids.get(i, "")) for i, thing in enumerate(seen)]
         gone = [t for t in self._open.values() if t.attempts and t.target_id not in ids.values()]
         self._previous = [thing.center for thing in seen]
+        for old in self._given_up:
+            old.unseen = 0 if any(old.is_(thing) for thing in seen) else old.unseen + 1
+        self._given_up = [old for old in self._given_up if old.unseen < GONE_AFTER]
         return named, gone
 
     def _match(self, target: Target, seen: Sequence[LocatedObject], free: list[int]) -> int | None:
@@ -138,16 +163,13 @@ class TargetBook:
     def give_up(self, target: Target) -> None:
         """Forget a target that lies where it was and is not to be tried again."""
         self.close(target)
-        self._given_up.append(target.located)
+        located = target.located
+        self._given_up.append(_GivenUp(located.center, located.shape, located.size))
 
     def is_given_up(self, thing: LocatedObject) -> bool:
         """Whether an object is one that was given up and still lies there."""
-        for old in self._given_up:
-            distance = math.dist(thing.center, old.center)
-            if distance <= VERY_PLACE_MM or (distance <= SAME_PLACE_MM and _alike(thing, old)):
-                return True
-        return False
+        return any(old.is_(thing) for old in self._given_up)
 
 
-def _alike(a: LocatedObject, b: LocatedObject) -> bool:
+def _alike(a: LocatedObject, b: LocatedObject | _GivenUp) -> bool:
     return a.shape is b.shape and all(abs(x - y) <= SAME_SIZE_MM for x, y in zip(a.size, b.size, strict=True))

@@ -63,7 +63,7 @@ def right_bin(config: CellConfig, part: TruePart) -> str | None:
 
 
 class Statistics(Observer):
-    """Counts a run as it goes.
+    """Counts a run as it goes; keeps no pictures, so that it may go on for months.
 
     Args:
         config: For the rules that say what was right.
@@ -73,7 +73,9 @@ class Statistics(Observer):
     def __init__(self, config: CellConfig, truth: Truth | None = None) -> None:
         self._config = config
         self._truth = truth
-        self.outcomes: list[Outcome] = []
+        self._count: Counter[Result] = Counter()
+        self._first_try = 0
+        self._fates: list[tuple[Result, int | None]] = []
         self.attempts = 0
         self.nudges = 0
         self._touches_before = self._touches_meant = 0
@@ -98,8 +100,12 @@ class Statistics(Observer):
             self._touches_meant += self._truth.collisions() - self._touches_before
 
     def concluded(self, outcome: Outcome) -> None:
-        """Keep the outcome."""
-        self.outcomes.append(outcome)
+        """Count the outcome, and note which true part it is about."""
+        self._count[outcome.result] += 1
+        self._first_try += outcome.attempts == 1 and outcome.result in (Result.PLACED, Result.REJECTED)
+        if self._truth is not None:
+            seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
+            self._fates.append((outcome.result, None if seen is None else seen.part_id))
 
     def summary(self, left_seen: int, cycle_times: Sequence[float]) -> dict[str, Any]:
         """The counts of the contract of `controller run --json`; lengths mm, angles degrees, times s.
@@ -108,7 +114,7 @@ class Statistics(Observer):
             left_seen: Objects that the last look showed on the table.
             cycle_times: s for each part dealt with.
         """
-        count = Counter(outcome.result for outcome in self.outcomes)
+        count = self._count
         tried_left = count[Result.SKIPPED] + count[Result.GRASP_MISSED] + count[Result.ABORTED]
         figures: dict[str, Any] = {
             "sorted": count[Result.PLACED],
@@ -118,10 +124,7 @@ class Statistics(Observer):
             "indeterminate": count[Result.INDETERMINATE],
             "attempts": self.attempts,
             "nudges": self.nudges,
-            "first_try": sum(
-                outcome.attempts == 1 and outcome.result in (Result.PLACED, Result.REJECTED)
-                for outcome in self.outcomes
-            ),
+            "first_try": self._first_try,
             "cycle_s": spread(cycle_times, ("median", "p95")),
         }
         figures["parts"] = sum(figures[key] for key in ("sorted", "rejected", "left", "dropped", "indeterminate"))
@@ -129,29 +132,18 @@ class Statistics(Observer):
             figures |= self._against_truth(figures)
         return figures
 
-    def _last_of_each_part(self) -> dict[int, int]:
-        """Index of the last outcome of every true part that has one."""
-        assert self._truth is not None
-        last = {}
-        for number, outcome in enumerate(self.outcomes):
-            seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
-            if seen is not None:
-                last[seen.part_id] = number
-        return last
-
     def _against_truth(self, figures: Mapping[str, Any]) -> dict[str, Any]:
         assert self._truth is not None
         final = {part.part_id: part for part in self._truth.now()}
         bins = {bin_.name for bin_ in self._config.bins}
         verdicts: Counter[str] = Counter()
         phantoms: Counter[Result] = Counter()
-        last = self._last_of_each_part()
-        for number, outcome in enumerate(self.outcomes):
-            seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
-            part = final[seen.part_id] if seen is not None else None
-            if part is None or (outcome.result is not Result.PLACED and last[part.part_id] != number):
-                phantoms[outcome.result] += 1
-            if outcome.result is not Result.PLACED:
+        last = {part_id: number for number, (_, part_id) in enumerate(self._fates) if part_id is not None}
+        for number, (result, part_id) in enumerate(self._fates):
+            part = final[part_id] if part_id is not None else None
+            if part_id is None or (result is not Result.PLACED and last[part_id] != number):
+                phantoms[result] += 1
+            if result is not Result.PLACED:
                 continue
             if part is None or part.place not in bins:
                 verdicts["silent"] += 1

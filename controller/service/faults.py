@@ -220,6 +220,10 @@ def remedy(error: SorterError) -> str:
     return error.remedy or CATALOGUE[fault_code(error)].remedy
 
 
+_MOST_FAULTS = 1000
+"""A report lists the latest; the ledger has all."""
+
+
 class FaultRecord(Observer):
     """What was warned of, held or stopped a run, as its report lists it.
 
@@ -252,7 +256,7 @@ class FaultRecord(Observer):
     def warned(self, code: str, cause: str, at: float) -> None:
         """Note what was warned of."""
         at_s = round(at - (self._began or 0.0), 3)
-        self.faults.append({"code": code, "at_s": at_s, "action": str(CATALOGUE[code].action), "cause": cause})
+        self._keep({"code": code, "at_s": at_s, "action": str(CATALOGUE[code].action), "cause": cause})
 
     def eased(self, code: str, at: float) -> None:
         """Note how long it lasted."""
@@ -262,4 +266,8 @@ class FaultRecord(Observer):
 
     def _add(self, error: SorterError, at: float, action: Action) -> None:
         at_s = round(at - (self._began or 0.0), 3)
-        self.faults.append({"code": fault_code(error), "at_s": at_s, "action": str(action), "cause": str(error)})
+        self._keep({"code": fault_code(error), "at_s": at_s, "action": str(action), "cause": str(error)})
+
+    def _keep(self, fault: dict[str, Any]) -> None:
+        self.faults.append(fault)
+        del self.faults[:-_MOST_FAULTS]

@@ -5,6 +5,8 @@ A camera that was bumped at night must be noticed in the morning: a real cell's 
 
 from __future__ import annotations
 
+import logging
+import os
 from pathlib import Path
 
 import cv2
@@ -16,6 +18,8 @@ from controller.cycle.view import still_mask
 from controller.domain import CellCalibration
 from controller.ports import Camera
 from controller.vision.watch import WatchedCamera
+
+_log = logging.getLogger(__name__)
 
 
 def watch_scenery(camera: Camera, config: CellConfig, calibration: CellCalibration, folder: Path | None) -> None:
@@ -42,6 +46,19 @@ def watch_scenery(camera: Camera, config: CellConfig, calibration: CellCalibrati
         if reference is None:
             for old in folder.glob("scenery-*.png"):
                 old.unlink(missing_ok=True)
-            cv2.imwrite(str(path), image)
+            _save(path, image)
 
     camera.watch_scenery(still, reference, keep)
+
+
+def _save(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write a picture whole or not at all: half of one would be a reference too."""
+    beside = path.with_suffix(".new")
+    try:
+        with beside.open("wb") as file:
+            file.write(cv2.imencode(".png", image)[1].tobytes())
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except OSError as error:
+        _log.warning("%s: %s: the scenery is learnt again at the next start", path, error.strerror or error)

@@ -40,7 +40,7 @@ def test_a_fault_ends_as_the_catalogue_says(fault: str, state: str, calibration:
 
 @pytest.mark.safety("SR-41")
 def test_kills_lose_nothing_and_double_nothing(calibration: Path, tmp_path: Path) -> None:
-    verdicts = run_kills(2, 3, tmp_path, calibration)
+    verdicts = list(run_kills(2, 3, tmp_path, calibration))
     assert [complaint for verdict in verdicts for complaint in verdict.complaints] == []
 
 

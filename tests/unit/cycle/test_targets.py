@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from controller.cycle.targets import TargetBook
+from controller.cycle.targets import GONE_AFTER, TargetBook
 from controller.domain import Descriptors, Detection, Frame, LocatedObject, Shape
 
 FRAME = Frame(1, 0.0, np.zeros((4, 4, 3), np.uint8))
@@ -91,3 +91,17 @@ def test_what_was_given_up_is_known_again_where_it_lies() -> None:
     assert book.is_given_up(thing(20, 0))
     assert not book.is_given_up(thing(20, 0, Shape.CIRCLE))
     assert not book.is_given_up(thing(60, 0))
+
+
+def test_what_was_given_up_is_new_again_when_it_was_gone_for_some_looks() -> None:
+    book = TargetBook()
+    old = thing(0, 0)
+    book.identify([old])
+    book.give_up(book.choose(old, 0.0))
+    for _ in range(GONE_AFTER - 1):
+        book.identify([])
+    book.identify([old])  # a look that missed it is no proof that it was taken
+    assert book.is_given_up(old)
+    for _ in range(GONE_AFTER):
+        book.identify([])
+    assert not book.is_given_up(old)
