@@ -6,8 +6,8 @@ Every kill hits a process of its own that sorts a simulated table as the service
 processor time. It says on a pipe what the ledger has acknowledged, before it goes on. Then the service is started
 again in the same state folder and asked over its socket: it must be STOPPED, and must say that the gripper may hold a
 part whenever it did at the moment of the kill. Processes are forked from one that has opened the simulated devices, so
-that a kill costs about two seconds of one processor. Ctrl-C ends the study and prints what it has found so far. The exit
-code is 1 when anything was not as it has to be.
+that a kill costs about two seconds of one processor. Ctrl-C ends the study and prints what was found until then. The
+exit code is 1 when anything was not as it has to be.
 """
 
 from __future__ import annotations

@@ -278,11 +278,23 @@ def wish(seconds: float, seed: int, disturbances_an_hour: float) -> str:
 
 
 def run(
-    hours: float, seed: int, parts: int, faults_an_hour: float, disturbances_an_hour: float, folder: Path
+    hours: float,
+    seed: int,
+    parts: int,
+    *,
+    faults_an_hour: float,
+    disturbances_an_hour: float,
+    folder: Path,
+    calibration: Path | None = None,
 ) -> Found:
-    """Sort for so long; the environment's state folder is the soak's for as long as it lasts."""
+    """Sort for so long; the environment's state folder is the soak's for as long as it lasts.
+
+    The cell is calibrated into the folder, unless its calibration is given.
+    """
     seconds = 3600.0 * hours
-    look_at_cell(seed, parts, "dynamic", folder)
+    if calibration is None:
+        look_at_cell(seed, parts, "dynamic", folder)
+        calibration = folder / "calibration"
     faults = folder / "faults.toml"
     faults.write_text(script(seconds, seed, faults_an_hour), encoding="utf-8")
     found = Found()
@@ -303,9 +315,7 @@ def run(
         return made
 
     config = load_cell(shipped("sim.toml"))
-    session = Session(
-        RunOptions(Mode.REAL, config, calibration=folder / "calibration", watch=soak.watch)
-    )
+    session = Session(RunOptions(Mode.REAL, config, calibration=calibration, watch=soak.watch))
     operator = threading.Thread(target=operate, args=(soak, session, found), name="operator")
     state = {"STATE_DIRECTORY": str(folder / "state")}
     with patch.object(session_module, "DEVICES", {Mode.REAL: devices}), patch.dict(os.environ, state):
@@ -363,9 +373,9 @@ def main() -> int:
             arguments.hours,
             arguments.seed,
             arguments.parts,
-            arguments.faults_per_hour,
-            arguments.disturbances_per_hour,
-            Path(name),
+            faults_an_hour=arguments.faults_per_hour,
+            disturbances_an_hour=arguments.disturbances_per_hour,
+            folder=Path(name),
         )
     figures = {
         "hours": arguments.hours,

@@ -1,4 +1,4 @@
-"""A few fields of the fault matrix, a few kills, scripts of faults, and a disk that is really full.
+"""A few fields of the fault matrix, a few kills, half a minute of soaking, scripts of faults, a disk that is really full.
 
 The whole matrix is `tests/benchmarks/fault_matrix.py`, the kills `tests/benchmarks/kills.py`.
 """
@@ -19,6 +19,7 @@ from sim_backends.virtual_clock import VirtualClock
 from tests.benchmarks.cell_vision import look_at_cell
 from tests.benchmarks.fault_matrix import CASES, SEED, run_case
 from tests.benchmarks.kills import run as run_kills
+from tests.benchmarks.soak import run as soak
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,19 @@ def test_a_fault_ends_as_the_catalogue_says(fault: str, state: str, calibration:
 def test_kills_lose_nothing_and_double_nothing(calibration: Path, tmp_path: Path) -> None:
     verdicts = list(run_kills(2, 3, tmp_path, calibration))
     assert [complaint for verdict in verdicts for complaint in verdict.complaints] == []
+
+
+def test_half_a_minute_with_faults_and_disturbances_leaves_every_part_accounted_for(
+    calibration: Path, tmp_path: Path
+) -> None:
+    # Hours of it are `python -m tests.benchmarks.soak`.
+    found = soak(
+        0.012, SEED, 3, faults_an_hour=150.0, disturbances_an_hour=300.0, folder=tmp_path, calibration=calibration
+    )
+    assert found.complaints == []
+    assert found.supplies > 0
+    assert found.results["placed"] > 0
+    assert found.faults
 
 
 def test_everything_in_the_matrix_and_in_scripts_is_in_the_catalogue() -> None:
