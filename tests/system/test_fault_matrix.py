@@ -1,4 +1,4 @@
-"""A few fields of the fault matrix, a few kills, half a minute of soaking, scripts of faults, a disk that is really full.
+"""A few fields of the fault matrix, a few kills, half a minute of soaking, scripts of faults, and a full disk.
 
 The whole matrix is `tests/benchmarks/fault_matrix.py`, the kills `tests/benchmarks/kills.py`.
 """
