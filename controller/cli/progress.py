@@ -12,6 +12,7 @@ from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer
 from controller.domain import Outcome, PickPlan, Result
 from controller.errors import SorterError
+from controller.service.faults import CATALOGUE
 
 _DONE = (Result.PLACED, Result.REJECTED)
 
@@ -80,6 +81,14 @@ class Progress(Observer):
     def resumed(self, at: float) -> None:
         """Say that it is over."""
         self.say(f"{at - (self._began or 0.0):7.1f} s  goes on")
+
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Say what is not in order although the cell goes on."""
+        self.say(f"{at - (self._began or 0.0):7.1f} s  warning: {cause}")
+
+    def eased(self, code: str, at: float) -> None:
+        """Say that it is over."""
+        self.say(f"{at - (self._began or 0.0):7.1f} s  over: {CATALOGUE[code].name}")
 
     def faulted(self, error: SorterError, at: float) -> None:
         """Say the fault."""

@@ -12,7 +12,7 @@ from controller.domain import Result
 from controller.insight.evaluation import bounds
 from controller.insight.shift_time import OFF, Run, Span, date, number, runs_of, spans_of
 from controller.insight.statistics import spread
-from controller.ledger.events import OPERATOR, Doing
+from controller.ledger.events import EASED, OPERATOR, WARNING, Doing
 from controller.ledger.selection import Selection
 from controller.ledger.view import LedgerReader
 
@@ -103,7 +103,10 @@ def figures(
              "end_s": round((span.end - begin).total_seconds(), 1)}
             for span in spans
         ],
-        "alarms": _alarms(spans, names, now),
+        "alarms": sorted(
+            [*_alarms(spans, names, now), *_warnings(ledger, inside, names, begin, until, now)],
+            key=lambda alarm: str(alarm["at"]),
+        ),
         "changes": _changes(ledger, runs, begin, until, now),
         "operators": _operators(ledger, inside, begin, until, now),
         "counted_by_day": _counted_by_day(ledger, since, until),
@@ -212,6 +215,34 @@ def _alarms(spans: Sequence[Span], names: Mapping[str, str], now: datetime) -> l
     ]
 
 
+def _warnings(
+    ledger: LedgerReader, runs: Sequence[Run], names: Mapping[str, str], begin: datetime, until: datetime, now: datetime
+) -> list[dict[str, Any]]:
+    """What was not in order although the cell went on, each until it was over or the run was."""
+    lines: list[dict[str, Any]] = []
+    for run in runs:
+        open_: dict[str, tuple[dict[str, Any], datetime]] = {}
+        for row in ledger.rows("events", run.within(begin, until)):
+            at, told = run.at(row["at_s"]), row["details"]
+            code = str(told.get("code", ""))
+            if row["kind"] == WARNING and code not in open_:
+                line = {
+                    "at": at.astimezone(now.tzinfo).isoformat(timespec="seconds"),
+                    "code": code,
+                    "name": _name(code, names),
+                    "cause": str(told.get("cause", "")),
+                    "remedy": str(told.get("remedy", "")),
+                    "doing": WARNING,
+                    "lasted_s": round((min(run.end, until) - at).total_seconds(), 1),
+                }
+                lines.append(line)
+                open_[code] = line, at
+            elif row["kind"] == EASED and code in open_:
+                line, since = open_.pop(code)
+                line["lasted_s"] = round((at - since).total_seconds(), 1)
+    return lines
+
+
 def _changes(
     ledger: LedgerReader, runs: Sequence[Run], begin: datetime, until: datetime, now: datetime
 ) -> list[dict[str, Any]]:
@@ -230,7 +261,12 @@ def _changes(
             text += f"; {', '.join(differing)}" if differing else "; nothing had changed"
             lines.append((run.begin, text + ("; the run before was cut off" if cut_off else "")))
         before = run
-    kinds = {"ledger_damaged": "the record was damaged and a new one begun", "classes": "taught classes"}
+    kinds = {
+        "ledger_damaged": "the record was damaged and a new one begun",
+        "classes": "taught classes",
+        "model": "trained model",
+        "configuration": "the configuration was read again",
+    }
     for kind, text in kinds.items():
         for row in ledger.rows("events", Selection(since=begin, until=until, kind=kind)):
             told = ", ".join(f"{key} {value}" for key, value in row["details"].items())

@@ -11,6 +11,10 @@ fault catalogue), `cause` and `remedy`."""
 OPERATOR = "operator"
 """Kind of an event: an operator's command was carried out; details `command`, `uid`."""
 
+WARNING, EASED = "warning", "eased"
+"""Kinds of events: something is not in order although the cell goes on (details `code`, `cause`, `remedy`), and is
+again (details `code`)."""
+
 
 class Doing(StrEnum):
     """What a cell spends its time with."""

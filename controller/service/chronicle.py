@@ -18,7 +18,7 @@ from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import PickPlan
 from controller.errors import LedgerError, SorterError
-from controller.ledger.events import OPERATOR, STATE, Doing
+from controller.ledger.events import EASED, OPERATOR, STATE, WARNING, Doing
 from controller.ledger.sqlite import SqliteLedger
 from controller.ports import Clock, Ledger
 from controller.service.alarms import AlarmLog
@@ -32,7 +32,7 @@ _MOST_KEPT = 1000
 
 
 class Chronicle(Observer):
-    """Writes events of the kinds `STATE` and `OPERATOR`.
+    """Writes events of the kinds in `controller.ledger.events`.
 
     Args:
         ledger: Takes the events.
@@ -90,6 +90,14 @@ class Chronicle(Observer):
         """Note the fault that has latched."""
         self._cause = None
         self._change(Doing.FAULT, at, error)
+
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Note what is not in order although the cell goes on."""
+        self._write(WARNING, at, code=code, cause=cause, remedy=CATALOGUE[code].remedy)
+
+    def eased(self, code: str, at: float) -> None:
+        """Note that it is over."""
+        self._write(EASED, at, code=code)
 
     def _change(self, doing: Doing, at: float, cause: SorterError | None = None) -> None:
         if cause is not None:

@@ -181,6 +181,14 @@ class CycleLog(Observer, logging.Filter):
         """Log that it is over."""
         self._log.info("what the cell held for is over")
 
+    def warned(self, code: str, cause: str, at: float) -> None:
+        """Log what is not in order although the cell goes on."""
+        self._log.warning("%s", cause, extra={"message_id": FAULT_ID, "fault_code": code})
+
+    def eased(self, code: str, at: float) -> None:
+        """Log that it is over."""
+        self._log.info("%s is over", code, extra={"fault_code": code})
+
     def faulted(self, error: SorterError, at: float) -> None:
         """Log the fault that has latched."""
         self._log.error("%s", error, extra={"message_id": FAULT_ID, "fault_code": fault_code(error)})

@@ -226,6 +226,7 @@ def test_after_the_adapter_was_unplugged_a_reset_opens_the_arm_again(
     assert counts["placed"] in (PARTS - 1, PARTS)  # the part that was in the jaws may have been let go where it is seen
 
 
+@pytest.mark.safety("SR-04")
 def test_a_running_cell_takes_a_new_configuration_over_between_two_parts(cell: RunningCell, state: Path) -> None:
     text = cell.config.read_text(encoding="utf-8")
     before = cell.operator.ask("status")["config_digest"]
@@ -286,6 +287,7 @@ def test_a_full_bin_suspends_its_parts_until_it_is_emptied_also_over_a_restart(
     assert commands == ["start", "start", "emptied"]
 
 
+@pytest.mark.safety("SR-07", "SR-22")
 def test_three_runs_cut_off_in_a_row_end_in_safe_mode(
     config: Path, state: Path, calibration: Path, devices: list[Devices]
 ) -> None:

@@ -156,6 +156,24 @@ def _stuck() -> Any:
     return MotionTimeout("arm", "follow", "stuck")
 
 
+def test_a_warning_lasts_until_it_is_over_or_the_run_is(path: Path) -> None:
+    day = Day(path)
+    day.start()
+    day.chronicle.warned("supply_low", "10.6 V at the servos", day.clock.now())
+    day.part(30.0)
+    day.chronicle.warned("bin_full", "left is full, 2 parts wait", day.clock.now())
+    day.chronicle.eased("supply_low", day.clock.now())
+    day.part(20.0)
+    day.end()
+    found = counted(path)
+    assert [(a["code"], a["doing"], a["lasted_s"]) for a in found["alarms"]] == [
+        ("supply_low", "warning", 30.0),
+        ("bin_full", "warning", 20.0),
+    ]
+    assert found["availability"] == 1.0
+    assert "10.6 V at the servos" in page(found)
+
+
 def test_simulated_time_counts_where_time_is_simulated(path: Path) -> None:
     clock = VirtualClock()
     with SqliteLedger(path, clock=clock, wall=lambda: BEGIN) as ledger:

@@ -70,6 +70,7 @@ def test_the_jaws_may_hold_what_a_kill_left_open(path: Path) -> None:
         assert not again.may_hold_part
 
 
+@pytest.mark.safety("SR-07")
 def test_runs_cut_off_are_counted_in_a_row(path: Path) -> None:
     for day, cut_off in enumerate([0, 1, 2, 3], 1):
         ledger = opened(path, day)

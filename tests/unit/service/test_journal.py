@@ -168,10 +168,13 @@ def test_a_fault_is_logged_with_its_code(
     log = logging.getLogger("controller.cycle")
     log.addHandler(handler)
     try:
+        cycle.warned("supply_low", "10.6 V at the servos", 0.5)
+        warning = read()
         cycle.faulted(CameraLost("/dev/video0", "read", "unplugged", "plug it in"), 1.0)
     finally:
         log.removeHandler(handler)
     entry = read()
+    assert (warning["FAULT_CODE"], warning["PRIORITY"]) == ("supply_low", "4")
     assert (entry["FAULT_CODE"], entry["MESSAGE_ID"]) == ("camera_lost", FAULT_ID)
     assert entry["MESSAGE"] == "/dev/video0: read: unplugged: plug it in"
 
