@@ -28,9 +28,10 @@ ConfigFile = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
 
 
-def default_config() -> Path:
-    """The configuration of the simulated cell, which ships with the program."""
-    return shipped("sim.toml")
+def default_config(arm: str | None = None) -> Path:
+    """The configuration of the simulated cell, which ships with the program; an arm of another reach has its own."""
+    own = shipped("cells") / f"{arm}.toml"
+    return own if own.is_file() else shipped("sim.toml")
 
 
 @group.command()

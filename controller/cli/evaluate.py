@@ -70,7 +70,7 @@ def evaluate(
         raise typer.BadParameter("say what to evaluate: either --sim or --images DIR")
     if images is not None:
         return evaluate_pictures(images, recipe, report, as_json)
-    cell = with_classes(load_cell(config or default_config()), classes)
+    cell = with_classes(load_cell(config or default_config(arm)), classes)
     if arm is not None:
         cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm})})
     head = {

@@ -153,7 +153,7 @@ def _cell(config: Path | None, mode: Mode, arm: str | None, speed: float | None)
         raise ConfigError(
             "a real cell needs its configuration", "name it with --config FILE, or try the simulation with --sim"
         )
-    cell = load_cell(config or default_config())
+    cell = load_cell(config or default_config(arm))
     changes: dict[str, Any] = {}
     if arm is not None:
         changes["description"] = arm

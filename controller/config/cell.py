@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -120,6 +121,14 @@ class BinSection(StrictModel):
     """Height of its walls."""
     capacity: int = Field(20, ge=1, le=10_000)
 
+    def overlaps(self, other: BinSection) -> bool:
+        """Whether the inner space of two bins meets: their walls, up to 4 mm thick, may be one."""
+        gaps = [
+            abs(a - b) - (s + t) / 2.0
+            for a, b, s, t in zip(self.center_mm, other.center_mm, self.size_mm, other.size_mm, strict=True)
+        ]
+        return max(gaps) < 0.0
+
     def value(self) -> Bin:
         """The bin as the rest of the program knows it."""
         return Bin(self.name, self.center_mm, self.size_mm, self.wall_mm, self.capacity)
@@ -224,6 +233,7 @@ class CellConfig(StrictModel):
         for name in names:
             if names.count(name) > 1:
                 raise ConfigError(f"two bins are called {name!r}", "give every bin its own name")
+        check_apart(self.bins)
         wanted = [(f"sorting.rules[{i}].bin", rule.bin) for i, rule in enumerate(self.sorting.rules)]
         if self.sorting.otherwise != "leave":
             wanted.append(("sorting.otherwise", self.sorting.otherwise))
@@ -294,6 +304,18 @@ class CellConfig(StrictModel):
     def digest(self) -> str:
         """Hash of the whole configuration, for the ledger."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+
+
+def check_apart(bins: Sequence[BinSection]) -> None:
+    """Refuse bins that stand in one another.
+
+    Raises:
+        ConfigError: It names the two.
+    """
+    for k, one in enumerate(bins):
+        for other in bins[k + 1 :]:
+            if one.overlaps(other):
+                raise ConfigError(f"bins {one.name!r} and {other.name!r} stand in one another", "move one of them")
 
 
 def load_cell(path: Path) -> CellConfig:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import difflib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from pydantic import Field
 
-from controller.config.cell import CellConfig
+from controller.config.cell import CellConfig, check_apart
 from controller.config.loader import StrictModel, load_toml
 from controller.errors import ConfigError
 
@@ -47,7 +48,7 @@ def with_taught(config: CellConfig, path: Path) -> CellConfig:
     """The configuration with its bins where they were taught to stand.
 
     Raises:
-        ConfigError: The file makes no sense, or names a bin that the configuration does not have.
+        ConfigError: The file makes no sense, names a bin that the configuration does not have, or puts one into another.
     """
     taught = load_taught(path)
     known = [bin_.name for bin_ in config.bins]
@@ -56,25 +57,32 @@ def with_taught(config: CellConfig, path: Path) -> CellConfig:
             raise ConfigError(f"{path}: there is no bin {name!r}", f"{_closest(name, known)}delete the entry")
     if not taught:
         return config
-    bins = tuple(
-        bin_.model_copy(update={"center_mm": taught[bin_.name]}) if bin_.name in taught else bin_
-        for bin_ in config.bins
-    )
-    return config.model_copy(update={"bins": bins})
+    return _with_bins(config, taught)
 
 
 def moved(config: CellConfig, name: str, center: tuple[float, float]) -> CellConfig:
     """The configuration with one bin somewhere else (mm, `table`).
 
     Raises:
-        ConfigError: There is no bin of this name.
+        ConfigError: There is no bin of this name, or another stands there.
     """
     known = [bin_.name for bin_ in config.bins]
     if name not in known:
         raise ConfigError(f"there is no bin {name!r}", f"{_closest(name, known)}bins: {', '.join(known)}")
+    return _with_bins(config, {name: center})
+
+
+def _with_bins(config: CellConfig, centers: Mapping[str, tuple[float, float]]) -> CellConfig:
+    """The configuration with bins at other centres (mm, `table`).
+
+    Raises:
+        ConfigError: Two of them would stand in one another.
+    """
     bins = tuple(
-        bin_.model_copy(update={"center_mm": center}) if bin_.name == name else bin_ for bin_ in config.bins
+        bin_.model_copy(update={"center_mm": centers[bin_.name]}) if bin_.name in centers else bin_
+        for bin_ in config.bins
     )
+    check_apart(bins)
     return config.model_copy(update={"bins": bins})
 
 

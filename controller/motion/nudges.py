@@ -182,6 +182,8 @@ class _Scene:
     def first_that_frees(self, push: Push, rest: Array) -> Push | None:
         """The push with the least travel after which the target can be taken past the `rest`, or None."""
         ahead, moved = np.array(push.by), push.moved
+        # What the jaws could not take with nothing around is pushed in order to be turned.
+        turns = moved is self.target and not self.can_be_taken(moved, np.empty((0, 2)))
         gap = GAP + moved.sigma
         for travel in TRAVELS:
             if travel > push.travel:
@@ -190,6 +192,8 @@ class _Scene:
             if cv2.pointPolygonTest(self.border, (float(x), float(y)), True) < AREA_MARGIN:
                 return None
             ends = lands(moved, travel * ahead)
+            if turns:
+                ends = ends[-1:]
             if all(self._freed(moved, end, rest) for end in ends):
                 cost = push.cost + travel
                 if moved is not self.target:
@@ -240,10 +244,7 @@ def _free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: A
 
 
 def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
-    """How a part pushed by (dx, dy) mm may come to lie: as it was, and turned until a side lies against the box.
-
-    Only the latter for a triangle, which is often pushed in order to be turned.
-    """
+    """How a part pushed by (dx, dy) mm may come to lie: as it was, and turned until a side lies against the box."""
     center = np.array(moved.center)
     ahead = by / math.hypot(*by)
     straight = replace(
@@ -267,7 +268,7 @@ def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
     period = moved.shape.period
     yaw = None if moved.yaw is None or period is None else wrap(moved.yaw + turn, period)
     flush = replace(straight, footprint=footprint, yaw=yaw)
-    return (flush,) if moved.shape is Shape.TRIANGLE else (straight, flush)
+    return straight, flush
 
 
 def _hull(part: LocatedObject) -> Array:

@@ -113,6 +113,17 @@ def test_a_triangle_that_would_be_squeezed_out_is_turned() -> None:
     assert plan.moved is target
 
 
+def test_a_rectangle_too_wide_as_it_lies_is_turned() -> None:
+    """70 x 50 mm, its diagonal between the jaws: it fits them along either side only."""
+    planner = PLANNERS[OMX.name]
+    target = part(Shape.RECTANGLE, 50.0, at(200.0, 0.0), math.radians(40.0))
+    with pytest.raises(NoClearGrasp, match="does not suit"):
+        planner.plan_pick(target, (), planner.bins[0], planner.bins[0].center, np.array(OMX.ready))
+    plan = planner.plan_nudge(target, (), AREA, np.array(OMX.ready))
+    end = nudges.lands(target, np.array(plan.by))[-1]
+    planner.plan_pick(end, (), planner.bins[0], planner.bins[0].center, np.array(OMX.ready))
+
+
 def test_nothing_is_pushed_out_of_the_area() -> None:
     planner = PLANNERS[OMX.name]
     target, other = stuck_pair()
