@@ -9,9 +9,9 @@ import typer
 from rich.table import Table
 
 from controller.backends import Level
-from controller.cli.config import default_config
+from controller.cli.config import default_config, taught_file
 from controller.cli.control import At, control_folder
-from controller.cli.motion import AsJson, BinsFile, Calibration, ConfigFile, Sim, manual_options, taught_file
+from controller.cli.motion import AsJson, BinsFile, Calibration, ConfigFile, Sim, manual_options
 from controller.cli.output import stdout
 from controller.config.arm import load_arm
 from controller.config.cell import load_cell

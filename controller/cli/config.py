@@ -14,11 +14,16 @@ from controller.cli.output import stdout
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
+from controller.config.taught import TAUGHT_BINS, load_taught, with_taught
 from controller.cycle.preflight import check as preflight
 from controller.domain import CellCalibration
 from controller.errors import InputError
 from controller.motion.planner import Planner
+from controller.service.folders import state_folder
 from controller.vision.recipe import load_recipe
+
+SIMULATED = "simulated"
+"""What a configuration names as port when its cell exists in simulation only."""
 
 group = typer.Typer(help="Begin, check, show and explain a cell's configuration.", no_args_is_help=True)
 
@@ -34,25 +39,43 @@ def default_config(arm: str | None = None) -> Path:
     return own if own.is_file() else shipped("sim.toml")
 
 
+def taught_file(bins: Path | None, sim: bool) -> Path | None:
+    """The file of taught bins: the one named, else a real cell's own; a simulated cell has none."""
+    return bins if bins is not None or sim else state_folder() / TAUGHT_BINS
+
+
 @group.command()
-def check(config: ConfigFile = None, as_json: AsJson = False) -> None:
-    """Check a configuration as a whole: keys, ranges, rules, the arm's reach to every bin.
+def check(
+    config: ConfigFile = None,
+    bins: Annotated[
+        Path | None,
+        typer.Option("--bins", metavar="FILE", help="Taught bins (real cell: bins.toml in the state folder)."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a configuration as a whole: keys, ranges, rules, the arm's reach to every bin where it was taught to stand.
 
     Example: controller config check --config my-cell.toml
     """
     path = config or default_config()
     cell = load_cell(path)
+    taught = taught_file(bins, sim=cell.arm.port == SIMULATED)
+    moved = {} if taught is None else load_taught(taught)
+    if taught is not None:
+        cell = with_taught(cell, taught)
     arm = load_arm(cell.arm.description)
     load_recipe(cell.vision.recipe)
     camera, T_table_camera = nominal_camera(cell)
     by_ruler = CellCalibration("by ruler", camera, T_table_camera, cell.table.T_base_table())
     warnings = preflight(cell, arm, Planner(arm, by_ruler, cell.bin_values()))
     if as_json:
-        print(json.dumps({"config": str(path), "ok": True, "warnings": warnings, "digest": cell.digest}))
+        said = {"config": str(path), "ok": True, "warnings": warnings, "digest": cell.digest, "taught": sorted(moved)}
+        print(json.dumps(said))
         return
     for warning in warnings:
         print(f"warning: {warning}")
-    print(f"{path}: in order: {arm.title}, {len(cell.bins)} bins, {len(cell.sorting.rules)} rules")
+    there = f" ({', '.join(sorted(moved))} where taught)" if moved else ""
+    print(f"{path}: in order: {arm.title}, {len(cell.bins)} bins{there}, {len(cell.sorting.rules)} rules")
 
 
 @group.command()

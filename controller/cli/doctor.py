@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from controller.backends import DEVICES, Mode
+from controller.cli.config import default_config
 from controller.service import unit
 from controller.service.doctor.case import Case
 from controller.service.doctor.examine import examine, worst
@@ -28,17 +31,19 @@ def doctor(
     state: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of ledger and calibration (default: the service's).")
     ] = None,
+    sim: Annotated[bool, typer.Option("--sim", help="Look at the simulated cell's devices instead.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
     """Look at software, disk, clock, calibration, ledger and devices; changes nothing and moves nothing.
 
     The exit code is 1 when a check has failed; warnings alone give 0.
 
-    Example: controller doctor --config my-cell.toml
+    Examples: controller doctor --config my-cell.toml | controller doctor --sim
     """
-    if config is None and unit.CONFIG.is_file():
-        config = unit.CONFIG
-    findings = examine(Case(state or folder_of_the_cell(), config))
+    if config is None:
+        config = default_config() if sim else unit.CONFIG if unit.CONFIG.is_file() else None
+    case = Case(state or folder_of_the_cell(), config)
+    findings = examine(dataclasses.replace(case, devices=DEVICES[Mode.SIM], simulated=True) if sim else case)
     verdict = worst(findings)
     if as_json:
         print(json.dumps({"verdict": str(verdict), "checks": [finding.to_json() for finding in findings]}))

@@ -10,13 +10,12 @@ from typing import Annotated
 import typer
 
 from controller.backends import Level
-from controller.cli.config import default_config
+from controller.cli.config import default_config, taught_file
 from controller.cli.interrupts import exit_code, on_interrupt
 from controller.cli.keys import HELP, Client, Keys
 from controller.config.cell import load_cell
-from controller.config.taught import TAUGHT_BINS, with_taught
+from controller.config.taught import with_taught
 from controller.errors import ConfigError, InputError, PlanError
-from controller.service.folders import state_folder
 from controller.service.jogging import DeadMan, HeartbeatLost, Jogger, parse
 from controller.service.manual import ManualCell, ManualOptions, manual_cell
 
@@ -144,11 +143,6 @@ def manual_options(
     if taught is not None:
         cell = with_taught(cell, taught)
     return ManualOptions(cell, sim, seed, level, calibration, say=lambda line: print(line, file=sys.stderr))
-
-
-def taught_file(bins: Path | None, sim: bool) -> Path | None:
-    """The file of taught bins: the one named, else a real cell's own; a simulated cell has none."""
-    return bins if bins is not None or sim else state_folder() / TAUGHT_BINS
 
 
 def show(cell: ManualCell, as_json: bool, more: dict[str, object]) -> None:

@@ -16,9 +16,8 @@ from rich.table import Table
 
 from controller.backends import Level, Mode
 from controller.cli.classes import ClassesFolder, with_classes
-from controller.cli.config import default_config
+from controller.cli.config import default_config, taught_file
 from controller.cli.interrupts import exit_code, on_hangup, on_interrupt
-from controller.cli.motion import taught_file
 from controller.cli.output import stderr, stdout
 from controller.cli.progress import Progress
 from controller.config.cell import CellConfig, load_cell

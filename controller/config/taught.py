@@ -48,7 +48,8 @@ def with_taught(config: CellConfig, path: Path) -> CellConfig:
     """The configuration with its bins where they were taught to stand.
 
     Raises:
-        ConfigError: The file makes no sense, names a bin that the configuration does not have, or puts one into another.
+        ConfigError: The file makes no sense, names a bin that the configuration does not have, or puts one into
+            another.
     """
     taught = load_taught(path)
     known = [bin_.name for bin_ in config.bins]

@@ -134,6 +134,19 @@ def test_bins_are_taught_beside_the_configuration(
     assert bins["squares"]["taught"]
     assert not bins["circles"]["taught"]
     assert config.read_bytes() == before
+    assert execute(["config", "check", "--config", str(config), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["taught"] == ["squares"]
+    # Into another bin: refused, and nothing is written.
+    assert execute(["bins", "set", "circles", "--at", "-170", "240", "--config", str(config)]) == 78
+    assert "stand in one another" in capsys.readouterr().err
+
+
+def test_the_doctor_looks_at_the_simulated_cell(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["doctor", "--sim", "--json"]) == 0
+    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert "6 servos answer" in checks["servos"]["finding"]
+    assert "6 within reach" in checks["bins"]["finding"]
+    assert "1280x720" in checks["camera"]["finding"]
 
 
 @pytest.mark.safety("SR-18")

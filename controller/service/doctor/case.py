@@ -57,7 +57,8 @@ class Case:
         run: Runs a command of the system.
         clock_in_step: Whether the clock is kept in step.
         now: The date.
-        devices: Makes the real devices.
+        devices: Makes the devices.
+        simulated: They are simulated: no files, no calibration and no taught bins belong to them.
     """
 
     state: Path
@@ -69,6 +70,7 @@ class Case:
     clock_in_step: Callable[[], bool | None] = clock_in_step
     now: datetime = field(default_factory=lambda: datetime.now(UTC))
     devices: Factory = DEVICES[Mode.REAL]
+    simulated: bool = False
 
     def path(self, absolute: str | Path) -> Path:
         """An absolute path, below the root that is examined."""

@@ -6,11 +6,15 @@ from datetime import UTC, datetime
 
 from controller.calibration.approval import DUE, certificate_of
 from controller.calibration.certificate import PASSED
-from controller.calibration.store import load
+from controller.calibration.store import CAMERA, load
+from controller.config.taught import TAUGHT_BINS, load_taught, with_taught
+from controller.cycle.preflight import check
 from controller.errors import CalibrationMissing, SorterError
 from controller.ledger.view import LedgerView
+from controller.motion.planner import Planner
 from controller.service.doctor.case import Case
 from controller.service.doctor.finding import Finding, failed, ok, warning
+from controller.service.manual import by_ruler
 
 
 def instance(case: Case) -> Finding:
@@ -72,3 +76,19 @@ def ledger(case: Case) -> Finding:
         remedy = "keep a copy of the file; controller ledger verify lists everything"
         return failed("ledger", f"{problems[0]} ({len(problems)} problems)", remedy)
     return ok("ledger", f"{counts['targets']} targets on record, all accounted for")
+
+
+def bins(case: Case) -> Finding:
+    """Every bin, where it was taught to stand, is within the arm's reach and in no other."""
+    assert case.cell is not None
+    assert case.arm is not None
+    file = case.state / TAUGHT_BINS
+    taught = {} if case.simulated else load_taught(file)
+    config = with_taught(case.cell, file) if taught else case.cell
+    where = case.state / "calibration"
+    known = by_ruler(config) if case.simulated or not (where / CAMERA).is_file() else load(where).cell()
+    warnings = check(config, case.arm, Planner(case.arm, known, config.bin_values()))
+    text = f"{len(config.bins)} within reach of {case.arm.title}, {len(taught)} taught"
+    if warnings:
+        return warning("bins", f"{text}; {'; '.join(warnings)}", "see controller config check")
+    return ok("bins", text)

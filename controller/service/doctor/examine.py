@@ -27,11 +27,11 @@ _ALWAYS: dict[str, Check] = {
     "instance": cell.instance,
     "ledger": cell.ledger,
 }
-_OF_A_CELL: dict[str, Check] = {
+_OF_A_CELL: dict[str, Check] = {"bins": cell.bins, "devices": devices.opened}
+_OF_A_REAL_CELL: dict[str, Check] = {
     "calibration": cell.calibration,
     "device files": devices.nodes,
     "latency timer": devices.latency,
-    "devices": devices.opened,
 }
 
 
@@ -41,7 +41,7 @@ def examine(case: Case) -> list[Finding]:
     verdict, case = _configuration(case)
     findings.append(verdict)
     if case.cell is not None and case.arm is not None:
-        findings += _made(_OF_A_CELL, case)
+        findings += _made(_OF_A_CELL if case.simulated else _OF_A_REAL_CELL | _OF_A_CELL, case)
     return findings
 
 
