@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import pytest
 
+from controller.cli import execute
 from controller.ledger.view import LedgerView
 from tests.system.conftest import Controller
 
@@ -30,7 +31,9 @@ def check_sums(found: dict[str, Any]) -> None:
     assert found["reachable"] <= found["parts"]
 
 
-def test_a_run_sorts_and_keeps_everything(controller: Controller, tmp_path: Path) -> None:
+def test_a_run_sorts_and_keeps_everything(
+    controller: Controller, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     done = controller("run", "--sim", "--level", "static", "--parts", 4, "--seed", 7, "--json", "--out", "run")
     assert done.returncode == 0, done.stderr
     found = figures(done.stdout)
@@ -47,6 +50,9 @@ def test_a_run_sorts_and_keeps_everything(controller: Controller, tmp_path: Path
     assert page.count("data:image/jpeg;base64,") == 3
     assert "http" not in page
     assert (out / "calibration" / "camera.json").is_file()
+    for command in (["ledger", "show"], ["ledger", "export"], ["ledger", "verify"], ["report"], ["bundle"]):
+        assert execute([*command, str(out), *(("--out", str(out / command[0])) if len(command) == 1 else ())]) == 0
+    assert "4 of 4 parts in a bin" in capsys.readouterr().out
 
 
 def test_the_same_seed_gives_the_same_run(controller: Controller) -> None:
