@@ -28,6 +28,9 @@ T_TABLE_BOARD: Array = np.diag([1.0, -1.0, -1.0, 1.0])
 MIN_CORNERS = 8
 #: Largest half width of the sub-pixel window, px: a wider one sees the lens bend the edges.
 MAX_WINDOW = 5
+#: A corner this far from where the others put it, as a share of the pitch, was read off something else; lenses bend
+#: boards by less.
+_STRAY = 0.04
 #: Points sampled along each edge.
 _EDGE_POINTS = 12
 #: Standard deviation of the smoothing before refinement, px.
@@ -275,16 +278,25 @@ def _charuco(board: Board) -> Any:
 
 
 def _find_charuco(board: Board, gray: NDArray[np.uint8]) -> tuple[Array, NDArray[np.int64]]:
-    parameters = cv2.aruco.CharucoParameters()
-    # Small or blurred markers are missed at first; the others tell where to look again.
-    parameters.tryRefineMarkers = True
-    detector = cv2.aruco.CharucoDetector(_charuco(board), parameters)
-    pixels, ids, _, markers = detector.detectBoard(gray)
+    pixels, ids, _, markers = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(gray)
+    sure = pixels is not None and len(pixels) >= MIN_CORNERS
+    if not sure:
+        # Too many markers were missed: those that were read tell where the others must be.
+        parameters = cv2.aruco.CharucoParameters()
+        parameters.tryRefineMarkers = True
+        pixels, ids, _, markers = cv2.aruco.CharucoDetector(_charuco(board), parameters).detectBoard(gray)
     if pixels is None or ids is None or len(pixels) == 0:
         seen = 0 if markers is None else len(markers)
         raise BoardNotFound(f"no corner of {board.spec} seen ({seen} of its markers)")
     refined = refine(gray, np.asarray(pixels, np.float64).reshape(-1, 2), board.free)
-    return refined, np.asarray(ids, np.int64).ravel()
+    found = np.asarray(ids, np.int64).ravel()
+    if not sure and len(found) >= MIN_CORNERS:
+        # What is found so is not always a marker, and then its corners lie elsewhere.
+        limit = max(_STRAY * float(np.median(_neighbour_distance(refined))), 0.5)
+        _, good = cv2.findHomography(board.corners[found][:, :2], refined, cv2.RANSAC, limit)
+        kept = np.asarray(good).ravel() > 0
+        refined, found = refined[kept], found[kept]
+    return refined, found
 
 
 # --- chessboards and discs ----------------------------------------------------------------------------

@@ -10,17 +10,20 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import typer
 from rich.table import Table
 
 from controller.backends import Devices, Level
 from controller.calibration.approval import certificate_of
-from controller.calibration.boards import parse_board
-from controller.calibration.camera import CameraCalibration, calibrate_camera
+from controller.calibration.boards import BoardView, parse_board
+from controller.calibration.camera import CameraCalibration, find_views, fit_views
+from controller.calibration.coverage import coverage_picture
 from controller.calibration.store import load, load_calibration, restore_previous
 from controller.calibration.table import calibrate_table
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt
+from controller.cli.live import capture_live
 from controller.cli.output import stdout
 from controller.config.cell import load_cell
 from controller.errors import CalibrationError, ConfigError, InputError, SafetyStop
@@ -53,29 +56,52 @@ Folder = Annotated[
 
 @group.command()
 def camera(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Views of the board, ten or more.")],
     board: BoardSpec,
+    images: Annotated[
+        list[Path] | None, typer.Argument(metavar="[IMAGE...]", help="Views of the board, ten or more; none: live.")
+    ] = None,
     out: Out = None,
+    config: ConfigFile = None,
+    device: Annotated[str | None, typer.Option(metavar="PATH", help="Live: another camera.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="DIR", help="Live: keep the views in DIR.")] = None,
+    sim: Annotated[bool, typer.Option("--sim", help="Live: simulated camera, and hands with the board.")] = False,
+    seed: Seed = 0,
+    level: LevelOf = Level.DYNAMIC,
     as_json: AsJson = False,
 ) -> None:
-    """Lens (intrinsics and distortion) from views of a board.
+    """Lens (intrinsics and distortion) from views of a board: from pictures, or live with a guide.
 
-    Example: controller calibrate camera views/*.jpg --board chessboard:9x6:25 --out camera.json
+    Examples: controller calibrate camera views/*.jpg --board chessboard:9x6:25 --out camera.json |
+    controller calibrate camera --config cell.toml --board charuco:10x7:28:21:DICT_5X5_100 --out camera.json
+
+    Live, hold the board before the camera: it says where to and how to tilt it, and takes a view by itself when the
+    board is held still and shows something new. FILE.png beside --out shows what the views cover.
     """
-    pictures = []
-    unreadable = []
-    for path in images:
-        try:
-            pictures.append((str(path), read_image(path)))
-        except InputError as error:
-            unreadable.append({"image": str(path), "reason": str(error)})
-            print(f"warning: {error}", file=sys.stderr)
-    made = calibrate_camera(pictures, parse_board(board))
+    shown = parse_board(board)
+    seen: list[tuple[str, BoardView]]
+    rejected: list[tuple[str, str]]
+    if images:
+        pictures, rejected = [], []
+        for path in images:
+            try:
+                pictures.append((str(path), read_image(path)))
+            except InputError as error:
+                rejected.append((str(path), str(error)))
+                print(f"warning: {error}", file=sys.stderr)
+        seen, without = find_views(pictures, shown)
+        rejected += without
+    else:
+        if not sim and config is None and device is None:
+            raise InputError("no picture was named", "name pictures; live: --config FILE, --device PATH or --sim")
+        capture = capture_live(config, shown, device=device, sim=sim, seed=seed, level=level, save=save)
+        seen, rejected = capture.taken, []
+    made = fit_views(seen, rejected, shown)
     if out is not None:
         made.save(out)
-    result = made.to_json()
-    result["views_rejected"] = [*result["views_rejected"], *unreadable]
-    _report(result, out, as_json)
+        left_out = {name for name, _ in made.views_rejected}
+        picture = coverage_picture([view for name, view in seen if name not in left_out], made)
+        cv2.imwrite(str(out.with_suffix(".png")), picture)
+    _report(made.to_json(), out, as_json)
 
 
 @group.command()

@@ -69,7 +69,7 @@ def snapshot(
 
     Example: controller camera snapshot table.png --config cell.toml
     """
-    with _open(config, device, sim) as (camera, clock):
+    with open_camera(config, device, sim) as (camera, clock):
         frame = camera.capture(clock.now(), timeout=5.0)
     try:
         written = cv2.imwrite(str(out), frame.image)
@@ -100,7 +100,7 @@ def focus(
     Put something with fine print or edges where the parts will lie. Ends with Ctrl-C or after --frames.
     """
     best, count = 0.0, 0
-    with _open(config, device, sim) as (camera, clock):
+    with open_camera(config, device, sim) as (camera, clock):
         began = clock.now()
         while frames is None or count < frames:
             image = camera.capture(clock.now(), timeout=5.0).image
@@ -130,8 +130,8 @@ def sharpness(image: NDArray[np.uint8]) -> float:
 
 
 @contextmanager
-def _open(config: Path | None, device: str | None, sim: bool) -> Iterator[tuple[Camera, Clock]]:
-    """A camera, open."""
+def open_camera(config: Path | None, device: str | None, sim: bool) -> Iterator[tuple[Camera, Clock]]:
+    """A camera, open: the named one, the configuration's, or the first plugged in; or the simulated one."""
     cell = load_cell(config or default_config())
     if sim:
         table = PaintedTable(cell, load_arm(cell.arm.description), BackendOptions(Path()))
