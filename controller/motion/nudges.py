@@ -27,6 +27,9 @@ AREA_MARGIN = 5.0  # mm that a pushed part's middle keeps from the border of the
 _NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp
 _ASIDE = (0.0, 6.0, -6.0)  # mm by which the box may push beside the part's middle
 _HEADINGS = 16
+SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a part's width
+_INTO = 0.7  # cosine between such a push and the way to a neighbour: straight into it nothing is won
+_COST_INTO = 20.0
 _LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
 _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
 # What makes one push better than another that frees the target as well, in mm of travel.
@@ -86,6 +89,8 @@ def pushes(
                 freed = scene.first_that_frees(push, rest)
                 if freed is not None:
                     found.append(freed)
+    # Where more than one neighbour stands in the way no single push is enough: one that loosens the heap is a start.
+    found = found or [push for moved in (target, *scene.neighbours()) for push in scene.shoves(moved)]
     if not found:
         x, y = target.center
         raise NoClearGrasp(
@@ -107,10 +112,35 @@ class _Scene:
 
     def culprits(self) -> list[LocatedObject]:
         """Neighbours, each of which alone keeps the target from being taken, nearest first."""
+        near = self.neighbours()
+        return [thing for thing in near if self.can_be_taken(self.target, self.outlines_without(thing))]
+
+    def neighbours(self) -> list[LocatedObject]:
+        """Everything that can stand in the target's way, nearest first."""
         reach = _NEIGHBOURHOOD + max(self.target.size) / 2.0
         near = [thing for thing in self.others if _distance(thing, self.target) < reach]
-        guilty = [thing for thing in near if self.can_be_taken(self.target, self.outlines_without(thing))]
-        return sorted(guilty, key=lambda thing: _distance(thing, self.target))
+        return sorted(near, key=lambda thing: _distance(thing, self.target))
+
+    def shoves(self, moved: LocatedObject) -> Iterable[Push]:
+        """Pushes of a part past or into its neighbours, to loosen a heap; the less into it the better."""
+        blocked = self.solid_about(moved)
+        center = np.array(moved.center)
+        rest = [thing for thing in (self.target, *self.others) if thing is not moved]
+        touching = [thing for thing in rest if _distance(thing, moved) < _NEIGHBOURHOOD]
+        ways = [np.array(thing.center) - center for thing in touching]
+        if not ways:
+            return
+        for heading, direction in self.headings(moved):
+            ahead = np.array([math.cos(heading), math.sin(heading)])
+            into = max(float(way @ ahead) / max(float(np.hypot(*way)), 1e-6) for way in ways)
+            end = center + SHOVE * ahead
+            inside = cv2.pointPolygonTest(self.border, (float(end[0]), float(end[1])), True) >= AREA_MARGIN
+            if into > _INTO or not inside:
+                continue
+            for push in self.free_pushes(moved, heading, direction, blocked, through=True):
+                by = (GAP + moved.sigma + SHOVE) * ahead
+                cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
+                yield replace(push, by=(float(by[0]), float(by[1])), travel=SHOVE, cost=cost)
 
     def outlines_without(self, moved: LocatedObject) -> Array:
         """Points along all outlines near the target but its own and that of `moved`."""
@@ -140,9 +170,12 @@ class _Scene:
                 yield direction + k * math.pi / 2, direction
 
     def free_pushes(
-        self, moved: LocatedObject, heading: float, direction: float, blocked: Array
+        self, moved: LocatedObject, heading: float, direction: float, blocked: Array, *, through: bool = False
     ) -> Iterable[Push]:
-        """Pushes of one part along one heading as far as nothing is in the way; `travel` is the most that is free."""
+        """Pushes of one part along one heading as far as nothing is in the way; `travel` is the most that is free.
+
+        With `through` only the place where the gripper comes down must be free: what is ahead is pushed along.
+        """
         ahead = np.array([math.cos(heading), math.sin(heading)])
         left = np.array([-ahead[1], ahead[0]])
         broad = abs(math.sin(heading - direction)) > 0.5
@@ -171,7 +204,7 @@ class _Scene:
                 continue
             coming = along[lane & (along > middle)]
             free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap)
-            if free < TRAVELS[0]:
+            if free < TRAVELS[0] and not through:
                 continue
             start = np.array(moved.center) + middle * ahead + aside * left
             cost = abs(aside) + (0.0 if broad else _COST_NARROW)

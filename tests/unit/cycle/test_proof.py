@@ -24,9 +24,14 @@ def test_jaws_that_reach_their_target_are_told_from_jaws_on_a_part(width: float)
     assert proof.refusal(GripReport(True, True, width, 0.3), grasp(width)) is None
 
 
-@pytest.mark.parametrize("opening", [39.0, 51.0])
+@pytest.mark.parametrize("opening", [39.0, 42.4, 46.3, 51.0])
 def test_a_part_of_another_width_is_refused(opening: float) -> None:
     assert "45.0 mm wide" in str(proof.refusal(GripReport(True, True, opening, 0.3), grasp(45.0)))
+
+
+@pytest.mark.parametrize("opening", [43.0, 44.2, 45.5])
+def test_what_grips_of_the_right_part_settle_at_is_taken(opening: float) -> None:
+    assert proof.refusal(GripReport(True, True, opening, 0.3), grasp(45.0)) is None
 
 
 def test_a_part_that_lay_askew_may_be_turned_flush_or_held_as_it_lies() -> None:

@@ -96,7 +96,9 @@ def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, a
     ahead = np.array(plan.by) / math.hypot(*plan.by)
     assert np.abs((way[:, :2] - way[0, :2]) @ np.array([-ahead[1], ahead[0]])).max() < 0.05
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() / plan.push.period < 1.001 * PUSH_SPEED
-    for corners in boxes(plan, planner)[::8]:
+    # What loosens a heap may push others along; it comes down free like any other.
+    loosens = math.hypot(*plan.by) == pytest.approx(nudges.SHOVE)
+    for corners in boxes(plan, planner)[: 1 if loosens else None : 8]:
         for other in things:
             if other is not plan.moved:
                 # Outlines are points every 2 mm, so 1 mm may be missed.
@@ -128,8 +130,10 @@ def test_nothing_is_pushed_out_of_the_area() -> None:
     planner = PLANNERS[OMX.name]
     target, other = stuck_pair()
     tight = np.array([[-60.0, -25.0], [0.0, -25.0], [0.0, 68.0], [-60.0, 68.0]])
-    with pytest.raises(NoClearGrasp, match="no push"):
-        planner.plan_nudge(target, [other], tight, np.array(OMX.ready))
+    plan = planner.plan_nudge(target, [other], tight, np.array(OMX.ready))
+    x, y = np.array(plan.moved.center) + plan.by
+    assert -60.0 < x < 0.0
+    assert -25.0 < y < 68.0
 
 
 def test_a_part_walled_in_has_no_push() -> None:
