@@ -112,7 +112,7 @@ def evaluate_sim(
     interrupted = False
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        for record in _sorted([job for job in jobs if job.seed not in done], processes):
+        for record in sorted_tables([job for job in jobs if job.seed not in done], processes):
             records.append(record)
             if diary is not None:
                 diary.add(record)
@@ -182,7 +182,7 @@ def _span(seeds: Sequence[int]) -> str:
     return " ".join(map(str, seeds))
 
 
-def _sorted(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
+def sorted_tables(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
     """Records as they are done."""
     if processes == 1:
         yield from map(sort_one, jobs)

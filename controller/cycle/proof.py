@@ -18,12 +18,12 @@ CLOSED_MM = 4.0
 Source: measured grips of 150 random parts settle within 4 mm of the seen width, else they are tilted.
 """
 
-WIDER_MM, NARROWER_MM = 1.2, 2.5
-"""Jaws that stop further off hold something else: of two parts swapped by other hands whose widths differ by more than
-2 mm, neither passes for the other.
+WIDER_MM, NARROWER_MM = 0.8, 2.2
+"""Jaws that stop further off hold something else, twice the part's own deviation (0.1 to 0.2 mm, 1.3 mm for what has no
+name) apart: of two parts swapped by other hands whose widths differ by more than 2 mm, neither passes for the other.
 
 Source: 42 grips of the simulated arm at level `dynamic` settled 0.4 to 2.1 mm below the seen width, 0.8 mm in the
-middle; sizes are seen to 0.3 mm.
+middle.
 """
 
 SQUEEZE_MM = 8.0
@@ -53,12 +53,19 @@ def closing_target(grasp: Grasp, gripper: Gripper) -> float:
     return max(grasp.flush - SQUEEZE_MM, gripper.opening[0])
 
 
-def refusal(report: GripReport, grasp: Grasp) -> str | None:
-    """Why a closed gripper does not hold the part, or None when it does."""
+def refusal(report: GripReport, grasp: Grasp, sigma: float) -> str | None:
+    """Why a closed gripper does not hold the part, or None when it does.
+
+    Args:
+        report: Where the jaws have settled.
+        grasp: What was meant.
+        sigma: Standard deviation of where the part was seen, mm.
+    """
     if not report.contact:
         return f"the jaws closed to {report.opening:.1f} mm without touching a part"
     # Jaws turn a part that lies askew flush, or hold it as it lies: both are a grasp.
-    if not grasp.flush - NARROWER_MM <= report.opening <= grasp.width + WIDER_MM:
+    slack = 2.0 * sigma
+    if not grasp.flush - NARROWER_MM - slack <= report.opening <= grasp.width + WIDER_MM + slack:
         return f"the jaws stopped at {report.opening:.1f} mm where the part is {_wide(grasp)} mm wide"
     return None
 

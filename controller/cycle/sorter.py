@@ -312,7 +312,7 @@ class Sorter:
         refusal = proof.obstruction(arrival, plan.approach)
         if refusal is None:
             report = motions.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
-            refusal = proof.refusal(report, plan.grasp) if self.rig.pick_proof else None
+            refusal = proof.refusal(report, plan.grasp, target.located.sigma) if self.rig.pick_proof else None
         return refusal
 
     def _nudge(self) -> bool:
