@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from controller.cycle.choice import NUDGES
 from controller.domain import MoveReport, Result, Shape, Trajectory
 from controller.localization.locate import Located
 from sim_backends.recording_arm import RecordingArm
@@ -25,7 +26,9 @@ def test_what_could_not_be_located_is_still_in_the_way(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("controller.cycle.looking.locate", located)
     assert bench.run().left == 5
-    assert "approach" not in bench.commands
+    assert "carry" not in bench.commands
+    assert [kind for kind, _ in bench.ledger.lines if kind == "intend"] == []
+    assert bench.commands.count("push") <= NUDGES
 
 
 @pytest.mark.parametrize(("stray", "results"), [(0.03, [Result.PLACED]), (0.08, [Result.GRASP_MISSED])])
