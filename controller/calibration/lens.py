@@ -68,9 +68,9 @@ class CameraCalibration:
         """The JSON object of `calibrate camera`, ready to be written."""
         return {**_content(self), "calibration_id": self.calibration_id}
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path, provenance: Mapping[str, str] | None = None) -> None:
         """Write the file that `--camera` reads; the previous one is kept beside it."""
-        files.write(path, self.to_json())
+        files.write(path, self.to_json() | ({"provenance": dict(provenance)} if provenance else {}))
 
     @staticmethod
     def load(path: Path) -> CameraCalibration:

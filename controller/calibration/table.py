@@ -64,9 +64,9 @@ class TableCalibration:
         """The JSON object of the table's own file, without the lens' keys."""
         return {**_content(self), "calibration_id": self.calibration_id}
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path, provenance: Mapping[str, str] | None = None) -> None:
         """Write the table's own file; the previous one is kept beside it."""
-        files.write(path, self.own_json())
+        files.write(path, self.own_json() | ({"provenance": dict(provenance)} if provenance else {}))
 
     @staticmethod
     def load(path: Path, camera: CameraCalibration) -> TableCalibration:

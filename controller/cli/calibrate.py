@@ -36,6 +36,7 @@ from controller.service.self_calibration import (
     check_cell,
     open_cell,
     own_folder,
+    provenance_now,
 )
 from controller.vision.read import read_image
 
@@ -97,7 +98,7 @@ def camera(
         seen, rejected = capture.taken, []
     made = fit_views(seen, rejected, shown)
     if out is not None:
-        made.save(out)
+        made.save(out, provenance_now())
         left_out = {name for name, _ in made.views_rejected}
         picture = coverage_picture([view for name, view in seen if name not in left_out], made)
         cv2.imwrite(str(out.with_suffix(".png")), picture)
@@ -119,7 +120,7 @@ def table(
     lens = CameraCalibration.load(camera)
     made = calibrate_table([(str(path), read_image(path)) for path in images], lens, parse_board(board))
     if out is not None:
-        made.save(out)
+        made.save(out, provenance_now())
     _report(made.to_json(lens), out, as_json)
 
 

@@ -25,6 +25,7 @@ from controller.calibration.arm_procedure import calibrate_arm
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import calibrate_by_showing
+from controller.calibration.identified import load_identified
 from controller.calibration.store import CAMERA, CERTIFICATE, TABLE, load, load_calibration, save, save_calibration
 from controller.calibration.table import TableCalibration
 from controller.calibration.touch_map import touch_map
@@ -130,7 +131,7 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
     lens = CameraCalibration.load(folder / CAMERA)
     table = TableCalibration.load(folder / TABLE, lens)
     by_ruler = CellCalibration("by ruler", lens.camera, table.T_table_camera, config.table.T_base_table())
-    with at_work(devices.arm, config, by_ruler) as mover:
+    with at_work(devices.arm, config, by_ruler, folder) as mover:
         made = calibrate_arm(
             devices.arm,
             devices.camera,
@@ -142,7 +143,7 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
             progress=progress,
         )
         save(folder, arm=made, provenance=_provenance(devices, config))
-        mover.planner = _planner(devices.arm, config, load_calibration(folder))
+        mover.planner = _planner(devices.arm, config, load_calibration(folder), folder)
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
     return made
 
@@ -187,7 +188,7 @@ def check_cell(
             missed.append(np.array(devices.truth.tool()) - place)
 
     area = config.table.work_area
-    with at_work(devices.arm, config, stored.cell()) as mover:
+    with at_work(devices.arm, config, stored.cell(), folder) as mover:
         found = certificate.check_arm(
             devices.arm,
             devices.camera,
@@ -266,10 +267,16 @@ class Mover:
 
 
 @contextmanager
-def at_work(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Iterator[Mover]:
-    """Energise the arm, and in the end park it and let go; after a failure of the arm it holds still."""
+def at_work(
+    arm: Arm, config: CellConfig, calibration: CellCalibration, folder: Path | None = None
+) -> Iterator[Mover]:
+    """Energise the arm, and in the end park it and let go; after a failure of the arm it holds still.
+
+    Moves as the arm was identified, where the calibration's folder says how.
+    """
+    planner = _planner(arm, config, calibration, folder)
     arm.energise()
-    mover = Mover(arm, _planner(arm, config, calibration))
+    mover = Mover(arm, planner)
     try:
         yield mover
     except ArmError:
@@ -286,8 +293,9 @@ def _park(mover: Mover) -> None:
         mover.arm.relax()
 
 
-def _planner(arm: Arm, config: CellConfig, calibration: CellCalibration) -> Planner:
-    return Planner(arm.description, calibration, config.bin_values(), speed=config.arm.speed_percent / 100.0)
+def _planner(arm: Arm, config: CellConfig, calibration: CellCalibration, folder: Path | None) -> Planner:
+    description = arm.description if folder is None else load_identified(folder, arm.description)
+    return Planner(description, calibration, config.bin_values(), speed=config.arm.speed_percent / 100.0)
 
 
 # --- notes ----------------------------------------------------------------------------------------------
@@ -306,8 +314,13 @@ def _by_serial(device: str) -> str:
 
 
 def _provenance(devices: Devices, config: CellConfig) -> dict[str, str]:
+    return {**provenance_now(), **device_names(devices, config)}
+
+
+def provenance_now() -> dict[str, str]:
+    """When and by what a calibration is made."""
     made_at = datetime.now().astimezone().isoformat(timespec="seconds")
-    return {"made_at": made_at, "software": f"controller {__version__}", **device_names(devices, config)}
+    return {"made_at": made_at, "software": f"controller {__version__}"}
 
 
 def _rounded(figures: Residual) -> dict[str, float]:
