@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from sim_backends.fault_script import FaultDirector
 
 
+_LANDMARKS = ((1, 110.0, 290.0), (2, 110.0, -290.0), (3, -80.0, 305.0), (4, -80.0, -305.0))
+"""Where the simulated table's corner markers lie, (id, x, y) in `table`, mm: in view, out of the work area."""
 _MINIATURE = (640, 360)
 """Size of a film's pictures of the cell, px."""
 
@@ -490,6 +492,7 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         level=str(options.level),
         disturb=options.disturb,
         heights={shape: config.part(shape).height_mm for shape in Shape},
+        landmarks=_LANDMARKS if config.table.corner_markers else (),
         kinds=tuple(
             Kind(kind.name, kind.shape, kind.colour, kind.marking, kind.width_mm) for kind in config.simulated_kinds
         ),

@@ -172,7 +172,15 @@ class SimulatedCell:
         assert link_name(len(arm.joints) - 1) in {s.body for s in world.solids if s.decal}
         decals = {"marker": marker}
         decals |= {part_name(i): marking_of(part) for i, part in enumerate(world.parts) if part.marking}
-        return Painter(world.solids, bodies, parts, groups, lens, look, self.spec.seed, decals)
+        on_table = [self._landmark(*place) for place in self.spec.landmarks]
+        return Painter(world.solids, bodies, parts, groups, lens, look, self.spec.seed, decals, on_table)
+
+    def _landmark(self, name: int, x: float, y: float) -> Print:
+        """A printed marker on the table."""
+        picture, pixel_mm = marker_picture(MarkerMount(marker_id=name))
+        place = np.eye(4)
+        place[:2, 3] = x, y
+        return Print(picture, pixel_mm, self.T_base_table @ place, y_up=True)
 
 
 def marker_picture(marker: MarkerMount) -> tuple[Image, float]:

@@ -49,6 +49,7 @@ class CellSpec:
         work_area: Where parts are scattered.
         marker: The printed marker on the gripper.
         kinds: What kinds of parts are scattered; none for all shapes in all colours.
+        landmarks: (id, x, y) of the printed markers on the table, mm in `table`.
         overrides: Single imperfections that replace the level's, by field name.
         disturb: What happens while it works, as a wish of `disturbances`; "" for nothing.
     """
@@ -67,6 +68,7 @@ class CellSpec:
     work_area: WorkArea = field(default_factory=WorkArea)
     marker: MarkerMount = field(default_factory=MarkerMount)
     kinds: tuple[Kind, ...] = ()
+    landmarks: tuple[tuple[int, float, float], ...] = ()
     overrides: Mapping[str, float | Vector] = field(default_factory=dict)
     disturb: str = ""
 

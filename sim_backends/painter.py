@@ -48,6 +48,7 @@ class Painter:
         look: Light, defocus and sensor.
         seed: Of the table's grain and the noise.
         decals: Pictures shown on solids that name them: the print in the coordinates of the solid's body.
+        prints: Prints that lie on the table for good.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Painter:
         look: Imperfections,
         seed: int,
         decals: Mapping[str, Print],
+        prints: Sequence[Print] = (),
     ) -> None:
         self.lens = lens
         self._look = look
@@ -78,6 +80,7 @@ class Painter:
         self._fixed = np.array([bool(g) for g in groups])
         names = sorted(set(groups) - {""})
         self._group = np.array([names.index(g) if g else -1 for g in groups])
+        self._prints = prints
         self._set_stage(len(names))
 
     def _set_stage(self, groups: int) -> None:
@@ -88,6 +91,8 @@ class Painter:
             rows = self._scene.vertices_of(int(fixed))
             vertices[rows] = self._scene.local[rows]
         self._ground = self._paint_ground()
+        for print_ in self._prints:
+            self._lay(self._ground, print_)
         self._shadows.fix(self._ground, vertices, self._fixed)
         view = self._scene.view(vertices, self.lens)
         tones = self._tones(view.normals)

@@ -11,6 +11,7 @@ import math
 import os
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from controller.calibration.boards import Board, BoardKind
 from controller.calibration.marker import ArmMarker
 from controller.errors import InputError
+from controller.vision import landmarks
 
 Array = NDArray[np.float64]
 
@@ -118,6 +120,40 @@ def lay_out_marker(marker: ArmMarker) -> Sheet:
     """The page of the gripper's marker: within the line along which its plate is cut, with a ruler and its place."""
     size = PAPERS["A4"]
     middle = np.array([size[0] / 2, size[1] / 3])
+    half = marker.size / 2 + marker.margin
+    strip, texts = _strip(f"marker {marker.marker_id} of {marker.dictionary}, {marker.size:g} mm", size, False)
+    x, _, z = marker.T_tool_marker[:3, 3]
+    words = (
+        "Cut along the line and glue it onto something flat and stiff.",
+        f"It belongs on the gripper: with the arm stretched level, {-x:g} mm behind the grasp point, {z:g} mm above",
+        "it, face to the arm's base, this way up. A few mm and degrees do not matter; that it stays put does.",
+    )
+    told = _lines(words, float(middle[1] + half + 12.0))
+    rectangles = np.vstack([_cut_out(marker, middle), strip])
+    return Sheet("A4", size, (float(middle[0]), float(middle[1])), rectangles, np.empty((0, 3)), (*texts, *told))
+
+
+def lay_out_corners() -> Sheet:
+    """The page of the table's four corner markers, each within the line along which it is cut."""
+    size = PAPERS["A4"]
+    middle = np.array([size[0] / 2, size[1] / 3])
+    markers = [ArmMarker(landmarks.DICTIONARY, name, landmarks.SIZE_MM) for name in landmarks.IDS]
+    apart = landmarks.SIZE_MM + 2 * markers[0].margin + 12.0
+    places = [middle + apart / 2 * np.array([x, y]) for y in (-1, 1) for x in (-1, 1)]
+    cut = [_cut_out(marker, place) for marker, place in zip(markers, places, strict=True)]
+    strip, texts = _strip(f"corner markers of {landmarks.DICTIONARY}, {landmarks.SIZE_MM:g} mm", size, False)
+    words = (
+        "Cut along the lines and glue each flat onto the table, whole in the camera's view, away from the parts,",
+        "where neither the arm nor a bin hides it for long. Which lies where does not matter. Then calibrate the",
+        "table: from then on the cell holds as soon as a marker is seen elsewhere.",
+    )
+    told = _lines(words, float(middle[1] + apart + 12.0))
+    rectangles = np.vstack([*cut, strip])
+    return Sheet("A4", size, (float(middle[0]), float(middle[1])), rectangles, np.empty((0, 3)), (*texts, *told))
+
+
+def _cut_out(marker: ArmMarker, middle: Array) -> Array:
+    """Rectangles (N, 4) of a marker around its middle, and of the line along which it is cut."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, marker.dictionary))
     modules = dictionary.markerSize + 2
     step = marker.size / modules
@@ -129,16 +165,11 @@ def lay_out_marker(marker: ArmMarker) -> Sheet:
     left, top = middle - half - thin
     line = [(left, top, side, thin), (left, top + side - thin, side, thin)]
     line += [(left, top, thin, side), (left + side - thin, top, thin, side)]
-    strip, texts = _strip(f"marker {marker.marker_id} of {marker.dictionary}, {marker.size:g} mm", size, False)
-    x, _, z = marker.T_tool_marker[:3, 3]
-    words = (
-        "Cut along the line and glue it onto something flat and stiff.",
-        f"It belongs on the gripper: with the arm stretched level, {-x:g} mm behind the grasp point, {z:g} mm above",
-        "it, face to the arm's base, this way up. A few mm and degrees do not matter; that it stays put does.",
-    )
-    told = tuple(Text(25.0, middle[1] + half + 12.0 + 4.5 * row, False, words[row]) for row in range(len(words)))
-    rectangles = np.vstack([np.array(black), np.array(line), strip])
-    return Sheet("A4", size, (float(middle[0]), float(middle[1])), rectangles, np.empty((0, 3)), (*texts, *told))
+    return np.array(black + line)
+
+
+def _lines(words: Sequence[str], top: float) -> tuple[Text, ...]:
+    return tuple(Text(25.0, top + 4.5 * row, False, line) for row, line in enumerate(words))
 
 
 def _pattern(board: Board) -> tuple[Array, Array]:

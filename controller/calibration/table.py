@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from controller.calibration.camera import refine_pose
 from controller.calibration.lens import CameraCalibration
 from controller.errors import CalibrationPoorFit, CalibrationStale, InputError
 from controller.geometry import CameraModel, PlaneMap, invert, pose_from_rvec, rvec_tvec
+from controller.vision.landmarks import find_landmarks
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -26,6 +27,8 @@ Image = NDArray[np.uint8]
 RMS_RATIO, RMS_FLOOR_PX = 3.0, 0.5
 #: With fewer points on edges than this the corners alone decide.
 _LEAST_EDGE_POINTS = 100
+#: A board's outer squares lie beyond its corners: its sheet is so many times as wide.
+_SHEET = 1.5
 #: The limit when the lens' own figure is not known.
 MAX_RMS_PX = 1.5
 
@@ -43,6 +46,7 @@ class TableCalibration:
         frames: Number of pictures averaged.
         rejected: (image, reason) of the others.
         board: SPEC of the board.
+        landmarks: Corners (4, 2), px, of the table's corner markers by id, where there are any.
     """
 
     calibration_id: str
@@ -53,6 +57,7 @@ class TableCalibration:
     frames: int
     rejected: tuple[tuple[str, str], ...] = ()
     board: str = ""
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
 
     def to_json(self, camera: CameraCalibration) -> dict[str, Any]:
         """The JSON object of `calibrate table`: the lens' keys and the pose; its id is the table's."""
@@ -107,6 +112,7 @@ def table_from_json(content: Mapping[str, Any], where: str) -> TableCalibration:
         int(files.number(content, "frames", where=where, default=1.0)),
         tuple((str(item.get("image")), str(item.get("reason"))) for item in rejected),
         str(content.get("board", "")),
+        _landmarks_from(content, where),
     )
     stated = content.get("calibration_id")
     return _named(partial, stated if isinstance(stated, str) else None)
@@ -172,9 +178,41 @@ def calibrate_table(
     rms_mm = float(np.sqrt(((flat - wanted) ** 2).sum(axis=1).mean()))
     return _named(
         TableCalibration(
-            "", camera.calibration_id, T_table_camera, rms_px, rms_mm, len(used), tuple(rejected), board.spec
+            "",
+            camera.calibration_id,
+            T_table_camera,
+            rms_px,
+            rms_mm,
+            len(used),
+            tuple(rejected),
+            board.spec,
+            _mean_landmarks([image for _, image in images], pixels),
         )
     )
+
+
+def _mean_landmarks(images: Sequence[Image], board: Array) -> dict[int, Array]:
+    """Corners of the corner markers that every picture shows, averaged.
+
+    A ChArUco board may have markers of the same names on it: what lies on it or at its rim is none.
+    """
+    found = [find_landmarks(image) for image in images]
+    common = set.intersection(*(set(one) for one in found)) if found else set()
+    mean = {name: np.mean([one[name] for one in found], axis=0) for name in sorted(common)}
+    middle = board.mean(axis=0)
+    sheet = cv2.convexHull((middle + _SHEET * (board - middle)).astype(np.float32))
+    return {
+        name: place
+        for name, place in mean.items()
+        if cv2.pointPolygonTest(sheet, (float(place[:, 0].mean()), float(place[:, 1].mean())), False) < 0.0
+    }
+
+
+def _landmarks_from(content: Mapping[str, Any], where: str) -> dict[int, Array]:
+    value = content.get("landmarks", {})
+    if not isinstance(value, dict) or not all(str(name).isdecimal() for name in value):
+        raise InputError(f"{where}: landmarks are not by number", "make the file again")
+    return {int(name): files.numbers(value, name, (4, 2), where=f"{where}: landmarks") for name in value}
 
 
 def board_pose(points: Array, pixels: Array, camera: CameraModel) -> Array:
@@ -262,6 +300,7 @@ def _content(table: TableCalibration) -> dict[str, Any]:
             "frames": table.frames,
             "rejected": [{"image": name, "reason": why} for name, why in table.rejected],
             "board": table.board,
+            **({"landmarks": {str(name): place for name, place in table.landmarks.items()}} if table.landmarks else {}),
             "camera_id": table.camera_id,
         }
     )

@@ -1,4 +1,4 @@
-"""`controller board`: a calibration board, or the marker for the gripper, to print with a ruler on it."""
+"""`controller board`: a calibration board, or markers for gripper and table, to print with a ruler on it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 from controller.calibration.boards import parse_board
 from controller.calibration.marker import ArmMarker
-from controller.calibration.printing import lay_out, lay_out_marker, write_sheet
+from controller.calibration.printing import lay_out, lay_out_corners, lay_out_marker, write_sheet
 
 
 def board(
@@ -19,20 +19,26 @@ def board(
         str | None, typer.Option("--board", metavar="SPEC", help="The board, e.g. charuco:10x7:28:21:DICT_5X5_100.")
     ] = None,
     marker: Annotated[bool, typer.Option("--marker", help="The marker for the gripper instead of a board.")] = False,
+    corners: Annotated[bool, typer.Option("--corners", help="The table's four corner markers instead.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """A calibration board to print, or the gripper's marker: on the smallest paper that takes it, with a ruler.
+    """A board to print, the gripper's marker or the table's: on the smallest paper that takes it, with a ruler.
 
     Examples: controller board --board charuco:10x7:28:21:DICT_5X5_100 --out board.pdf | controller board --marker
     --out marker.pdf
     """
-    if (spec is None) != marker:
-        raise typer.BadParameter("name either a board with --board SPEC, or --marker")
-    sheet = lay_out_marker(ArmMarker()) if spec is None else lay_out(parse_board(spec))
+    if (spec is not None) + marker + corners != 1:
+        raise typer.BadParameter("name either a board with --board SPEC, or --marker, or --corners")
+    if spec is not None:
+        name, sheet = spec, lay_out(parse_board(spec))
+    elif marker:
+        name, sheet = "marker", lay_out_marker(ArmMarker())
+    else:
+        name, sheet = "corners", lay_out_corners()
     write_sheet(sheet, out)
     if as_json:
         page = {"paper": sheet.paper, "size_mm": sheet.size, "middle_mm": [round(value, 3) for value in sheet.middle]}
-        print(json.dumps({"board": spec or "marker", "out": str(out), **page}))
+        print(json.dumps({"board": name, "out": str(out), **page}))
         return
     way = "landscape" if sheet.size[0] > sheet.size[1] else "portrait"
     print(f"written to {out}: {sheet.paper} {way}")

@@ -81,6 +81,8 @@ class TableSection(StrictModel):
     """Direction of the sheet's x axis, seen from the arm's base."""
     board: str = "charuco:10x7:28:21:DICT_5X5_100"
     """The calibration sheet, as for `controller board`."""
+    corner_markers: bool = False
+    """The printed corner markers (`controller board --corners`) lie on the table: one that is moved holds the cell."""
     work_area: WorkArea = WorkArea()
 
     def T_base_table(self) -> Array:

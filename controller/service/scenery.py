@@ -13,10 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.calibration.store import load
 from controller.config.cell import CellConfig
 from controller.cycle.view import still_mask
 from controller.domain import CellCalibration
 from controller.ports import Camera
+from controller.vision.landmarks import Landmarks
 from controller.vision.watch import WatchedCamera
 
 _log = logging.getLogger(__name__)
@@ -49,6 +51,18 @@ def watch_scenery(camera: Camera, config: CellConfig, calibration: CellCalibrati
             _save(path, image)
 
     camera.watch_scenery(still, reference, keep)
+
+
+def watch_landmarks(camera: Camera, folder: Path) -> None:
+    """Let a camera that judges its pictures hold the table's corner markers to their places, where it has any.
+
+    Args:
+        camera: The cell's.
+        folder: Of the calibration with which it works.
+    """
+    places = load(folder).table.landmarks
+    if isinstance(camera, WatchedCamera) and places:
+        camera.landmarks = Landmarks(places)
 
 
 def _save(path: Path, image: NDArray[np.uint8]) -> None:

@@ -30,7 +30,7 @@ from controller.cycle.rehearsal import AIR_SPEED, AirPlanner, Rehearsal
 from controller.cycle.rig import Observer, Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import ArmDescription, CellCalibration, PickPlan
-from controller.errors import CalibrationMissing, DeviceError, SorterError
+from controller.errors import CalibrationMissing, CalibrationStale, DeviceError, SorterError
 from controller.insight.report import annotated, page, side_by_side
 from controller.insight.statistics import Album, Statistics
 from controller.ledger.sqlite import SqliteLedger
@@ -41,7 +41,7 @@ from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
-from controller.service.scenery import watch_scenery
+from controller.service.scenery import watch_landmarks, watch_scenery
 from controller.service.self_calibration import calibrate_cell, device_names
 from controller.service.standing_cell import Standing, StandingCell
 from controller.service.standing_service import Service
@@ -289,6 +289,7 @@ class Session:
             devices.clear_table()
             made = calibrate_cell(devices, self._config, folder / "calibration", self.options.say)
             devices.lay_parts()
+            watch_landmarks(devices.camera, folder / "calibration")
             return made, devices.clock.now() - began
         if self.options.mode is Mode.REPLAY:
             self.options.say("warning: no --calibration: positions are by ruler and data sheet, good to centimetres")
@@ -307,6 +308,11 @@ class Session:
             CalibrationError: It may not; the cause says why.
         """
         stored = load(folder)
+        watch_landmarks(devices.camera, folder)
+        if self._config.table.corner_markers and not stored.table.landmarks:
+            raise CalibrationStale(
+                "the table was measured without its corner markers", "lay them in view, then controller calibrate table"
+            )
         arm, names = devices.arm.description.name, device_names(devices, self._config)
         if self.options.rehearsal is not Rehearsal.NONE:
             stored.check(arm=arm, devices=names)

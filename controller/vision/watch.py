@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from controller.domain import Frame
 from controller.errors import FrameStale, PictureUnusable
 from controller.ports import Camera, Clock
+from controller.vision.landmarks import MOVED, Landmarks
 from controller.vision.scenery import Mask, Scenery, drift, trouble
 
 _log = logging.getLogger(__name__)
@@ -47,6 +48,7 @@ class WatchedCamera:
     Attributes:
         torn: Pictures passed over because a part was missing.
         scenery: What must look the same in every picture; None: nothing is known yet.
+        landmarks: Markers that must stay where they are in the picture; None: there are none.
         concerns: What is not yet a reason to hold, by code of the fault catalogue: its cause in words.
     """
 
@@ -59,6 +61,7 @@ class WatchedCamera:
         self._latest: deque[bool] = deque(maxlen=_LATEST)
         self.torn = 0
         self.scenery: Scenery | None = None
+        self.landmarks: Landmarks | None = None
         self.concerns: Mapping[str, str] = {}
 
     def watch_scenery(
@@ -144,6 +147,11 @@ class WatchedCamera:
         damaged = sum(self._latest)
         if damaged > max(2, MOST_TORN * len(self._latest)):
             concerns["pictures_damaged"] = f"{damaged} of the latest {len(self._latest)} pictures lack their lower part"
+        if self.landmarks is not None:
+            off = self.landmarks.displacement(frame.image)
+            if off is not None and off > MOVED:
+                cause = f"the camera was moved: the corner markers are {off:.1f} px off"
+                raise PictureUnusable(frame.source, "look", "moved", cause, "recalibrate: controller calibrate table")
         if self.scenery is not None:
             change = self.scenery.compare(frame.image)
             if (found := trouble(change)) is not None:
