@@ -101,8 +101,8 @@ def _inside(region: NDArray[np.uint8], center: tuple[float, float]) -> bool:
 
 
 def _detection(frame: Frame, found: Found) -> Detection:
-    face = counter_clockwise(found.face)
     outline = counter_clockwise(found.outline)
+    face = outline if found.face is found.outline else counter_clockwise(found.face)
     points = outline.astype(np.float32)
     covered = polygon_area(outline)
     (_, (w, h), _) = cv2.minAreaRect(points)
@@ -111,8 +111,9 @@ def _detection(frame: Frame, found: Found) -> Detection:
     if found.diameter is not None:
         size = (found.diameter, found.diameter)
         covered *= _circle_area_factor(len(outline))
-    perimeter = float(np.linalg.norm(rotated(outline) - outline, axis=1).sum())
-    sides = np.linalg.norm(rotated(face) - face, axis=1)
+    side = rotated(outline) - outline
+    perimeter = float(np.hypot(side[:, 0], side[:, 1]).sum())
+    sides = np.linalg.norm(face[:3] - rotated(face)[:3], axis=1)
     box = high - low
     difference = 0.0 if found.shape is Shape.CIRCLE else float(abs(sides[0] - sides[1]))
     return Detection(

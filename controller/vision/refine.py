@@ -23,7 +23,7 @@ _LOOKS = 2
 """How often outlines are looked at, each time from where the last look led."""
 _STEPS = 3
 """Gauss-Newton steps a look."""
-_NEAR = 0.3
+_NEAR = 0.5
 """How far, px, an outline may move on the profiles of one look: they were taken along its sides and corners as they
 were before."""
 
@@ -61,7 +61,7 @@ class Refined:
     @property
     def visible(self) -> float:
         """Share of the outline where an edge is to be seen."""
-        return float(self.seen.mean())
+        return int(np.count_nonzero(self.seen)) / len(self.seen)
 
 
 def refine(

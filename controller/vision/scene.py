@@ -79,16 +79,25 @@ class Scene:
         return replace(self, regions=regions, maps=maps)
 
     def strengths(self, outline: Floats, *shares: float) -> Floats:
-        """Whitened difference from the table (N, 3) at an outline's points shrunk to each share about its middle."""
-        middle = outline.mean(axis=0)
-        return self.differences(np.multiply.outer(np.array(shares), outline - middle).reshape(-1, 2) + middle)
+        """Whitened difference from the table at outlines' points shrunk to each share about their middle.
+
+        Args:
+            outline: ndarray of shape (..., N, 2), px.
+            shares: S of them.
+
+        Returns:
+            ndarray of shape (..., S * N, 3): those of the first share first.
+        """
+        middle = outline.mean(axis=-2, keepdims=True)
+        shrunk = middle[..., None, :, :] + np.array(shares)[:, None, None] * (outline - middle)[..., None, :, :]
+        return self.differences(shrunk.reshape(*outline.shape[:-2], -1, 2))
 
     def differences(self, points: Floats) -> Floats:
-        """Whitened difference from the table (N, 3) at points (N, 2), px."""
+        """Whitened difference from the table (..., 3) at points (..., 2), px."""
         places = np.rint((points - (self.factor - 1) / 2.0) / self.factor).astype(np.intp)
         rows, columns = self.white.difference.shape[:2]
-        x = np.minimum(np.maximum(places[:, 0], 0), columns - 1)
-        y = np.minimum(np.maximum(places[:, 1], 0), rows - 1)
+        x = np.minimum(np.maximum(places[..., 0], 0), columns - 1)
+        y = np.minimum(np.maximum(places[..., 1], 0), rows - 1)
         return np.asarray(self.white.difference[y, x], np.float64)
 
     def strength(self, points: Floats) -> Floats:
@@ -99,12 +108,23 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A refined outline, px, with its misfit over what is allowed and its area in local units."""
+    """A refined outline.
+
+    Attributes:
+        hypothesis: What it was refined from.
+        refined: What the pixels say.
+        badness: Its misfit over what is allowed.
+        outline: ndarray of shape (N, 2), px.
+        rim: ndarray of shape (32, 2), px: points at equal distances along it.
+        area: In local units.
+        box: Its least x and y and greatest x and y, px.
+    """
 
     hypothesis: Hypothesis
     refined: Refined
     badness: float
     outline: Floats
+    rim: Floats
     area: float
     box: tuple[float, float, float, float]
 
@@ -116,12 +136,27 @@ def whole(item: Judged) -> bool:
 
 def sampled(outline: Floats, count: int = 32) -> Floats:
     """`count` points at equal distances along a closed outline."""
-    side = rotated(outline) - outline
+    return np.asarray(all_sampled([outline], count)[0])
+
+
+def all_sampled(outlines: Sequence[Floats], count: int = 32) -> Floats:
+    """`count` points (K, count, 2) at equal distances along each of K closed outlines."""
+    if not outlines:
+        return np.empty((0, count, 2))
+    number = np.array([len(outline) for outline in outlines])
+    last = np.cumsum(number) - 1
+    first = last + 1 - number
+    points = np.concatenate(outlines)
+    after = np.arange(1, len(points) + 1)
+    after[last] = first
+    side = points[after] - points
     length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-9)
     ends = np.cumsum(length)
-    at = (np.arange(count) + 0.5) / count * ends[-1]
-    which = np.searchsorted(ends, at).clip(0, len(outline) - 1)
-    return np.asarray(outline[which] + side[which] * ((at - ends[which] + length[which]) / length[which])[:, None])
+    begin = ends[first] - length[first]
+    at = begin[:, None] + (np.arange(count) + 0.5) / count * (ends[last] - begin)[:, None]
+    which = np.searchsorted(ends, at).clip(first[:, None], last[:, None])
+    share = (at - ends[which] + length[which]) / length[which]
+    return np.asarray(points[which] + side[which] * share[..., None])
 
 
 def outside(outline: Floats, distance: float, count: int = 32) -> Floats:

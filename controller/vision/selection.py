@@ -40,7 +40,8 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     Of nested outlines that fit equally well the outer one is the object and the inner one a hole or a print;
     where side faces show it is the other way round, unless the inner one is much smaller: the inner one is the top.
     """
-    good = [item for item in judged if _believable(scene, item) and not _table_like(scene, item)]
+    table = _table_like(scene, judged).tolist()
+    good = [item for item, plain in zip(judged, table, strict=True) if not plain and _believable(scene, item)]
     blurs = [item.refined.blur for item in good]
     if blurs:
         # Shadows and glare have softer edges than the objects of the same frame.
@@ -84,7 +85,7 @@ def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: floa
     """Whether an outline is a strip of shadow along a larger object: the table's colour, darker, and softer."""
     if item.refined.blur < 1.12 * blur or not _shadow_like(scene, item):
         return False
-    points = [(float(x), float(y)) for x, y in sampled(item.outline)]
+    points = [(float(x), float(y)) for x, y in item.rim]
     larger = [other.outline.astype(np.float32) for other in accepted if other.area > item.area]
     return any(np.mean([cv2.pointPolygonTest(o, point, True) > -4.0 for point in points]) > 0.12 for o in larger)
 
@@ -110,7 +111,7 @@ def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     points = outside(item.outline, 3.0 + 2.0 * scene.factor + 2.0 * item.refined.blur)
     difference = scene.differences(points)
     strength = np.sqrt(np.vecdot(difference, difference))
-    rim = scene.strengths(sampled(item.outline), 0.85)
+    rim = scene.strengths(item.rim, 0.85)
     own = float(np.median(np.sqrt(np.vecdot(rim, rim))))
     height, width = scene.image.shape[:2]
     good = strength < max(2.0 * scene.settings.level, 0.25 * own)
@@ -193,28 +194,31 @@ def _rival(item: Judged, other: Judged) -> bool:
     return other.refined.chi < item.refined.chi and shared(item, other) > 0.85
 
 
-def _table_like(scene: Scene, item: Judged) -> bool:
-    """Whether the rim inside an outline looks like the table: a patch of table between objects."""
-    difference = scene.strengths(sampled(item.outline), 0.85)
-    return float(np.median(np.sqrt(np.vecdot(difference, difference)))) < _TABLE
+def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:
+    """Whether the rims (K,) inside outlines look like the table: patches of table between objects."""
+    if not items:
+        return np.zeros(0, bool)
+    difference = scene.strengths(rims(items), 0.85)
+    return np.asarray(np.median(np.sqrt(np.vecdot(difference, difference)), axis=1) < _TABLE)
 
 
 def _shadow_like(scene: Scene, item: Judged) -> bool:
     """Whether the rim inside an outline is the table's colour, only darker."""
-    return bool(_shaded(scene, np.median(scene.strengths(sampled(item.outline), 0.85), axis=0)[None])[0])
+    return bool(_shaded(scene, np.median(scene.strengths(item.rim, 0.85), axis=0)[None])[0])
 
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
     # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
-    dim = [_shadow_like(scene, item) or has_hole(scene, item.outline) for item in accepted]
+    holes = has_hole(scene, rims(accepted)).tolist()
+    dim = [hole or _shadow_like(scene, item) for item, hole in zip(accepted, holes, strict=True)]
     if scene.plane is None or not any(dim):
         return accepted
     upright = [item.outline for item, shadow in zip(accepted, dim, strict=True) if not shadow]
     casters = [hull.astype(np.float32) for hull in reaches(upright, scene.plane)]
 
     def beside(item: Judged) -> bool:
-        points = [(float(x), float(y)) for x, y in sampled(item.outline)]
+        points = [(float(x), float(y)) for x, y in item.rim]
         return any(
             np.mean([cv2.pointPolygonTest(caster, point, True) > -4.0 for point in points]) > 0.12 for caster in casters
         )
@@ -222,10 +226,18 @@ def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     return [item for item, shadow in zip(accepted, dim, strict=True) if not (shadow and beside(item))]
 
 
-def has_hole(scene: Scene, outline: Floats) -> bool:
-    """Whether the table shows through the middle of an object."""
-    differences = scene.strengths(sampled(outline), 0.85, 0.05, 0.15, 0.25, 0.35)
+def has_hole(scene: Scene, rim: Floats) -> NDArray[np.bool_]:
+    """Whether the table shows through the middles of objects (K,) with rims (K, N, 2), px."""
+    if not len(rim):
+        return np.zeros(0, bool)
+    differences = scene.strengths(rim, 0.85, 0.05, 0.15, 0.25, 0.35)
     strength = np.sqrt(np.vecdot(differences, differences))
-    rim = len(strength) // 5
-    own = float(np.median(strength[:rim]))
-    return own > 6.0 and float(np.mean(strength[rim:] < max(3.0, 0.3 * own))) > 0.4
+    outer = strength.shape[1] // 5
+    own = np.median(strength[:, :outer], axis=1)
+    clear = np.mean(strength[:, outer:] < np.maximum(3.0, 0.3 * own)[:, None], axis=1)
+    return np.asarray((own > 6.0) & (clear > 0.4))
+
+
+def rims(items: Sequence[Judged]) -> Floats:
+    """Points (K, 32, 2) along outlines, px."""
+    return np.array([item.rim for item in items]).reshape(-1, 32, 2)

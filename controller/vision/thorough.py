@@ -42,6 +42,8 @@ def open_objects(
     Returns:
         The scene with all regions, and the outlines.
     """
+    if not regions:
+        return scene, []
     shape = scene.white.difference.shape
     share = 0.02 if scene.sides else 0.06
     regions = _distinct(regions, shape, share)

@@ -10,15 +10,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.chunks import corners
 from controller.vision.fitting import Hypothesis
+from controller.vision.local_map import LocalMaps
 from controller.vision.proposals import Contour
 from controller.vision.refine import Refined, refine
-from controller.vision.scene import Judged, Scene, whole
-from controller.vision.shapes import area, vertices
+from controller.vision.scene import Judged, Scene, all_sampled, whole
+from controller.vision.shapes import CIRCLE, Family, area, vertices
 from controller.vision.silhouette import feet
 
 Floats = NDArray[np.float64]
 
+_RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
 _THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 
@@ -31,20 +34,37 @@ def tried(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
         # Where side faces show, the rim beside a top face is looked at on purpose instead.
         [h.region for h in wanted], blur, restarts=0 if scene.sides else 3,
     )  # fmt: skip
-    kept: list[tuple[Hypothesis, Refined, Floats]] = []
-    for h, r in zip(wanted, refined, strict=True):
-        if r is None or r.visible < settings.visible or r.levels < settings.minimum_contrast or r.contrast < 1.0:
-            continue
-        outline = maps.to_pixels(h.region, vertices(h.family, r.q))
-        if not np.isfinite(outline).all() or _width(outline) < _THIN * settings.smallest_px:
-            continue
-        kept.append((h, r, outline))
+    shown = [
+        (h, r) for h, r in zip(wanted, refined, strict=True)
+        if r is not None and r.visible >= settings.visible
+        and r.levels >= settings.minimum_contrast and r.contrast >= 1.0
+    ]  # fmt: skip
+    kept = [
+        (*item, outline) for item, outline in zip(shown, _outlines(maps, shown), strict=True)
+        if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
+    ]  # fmt: skip
+    outlines = [outline for _, _, outline in kept]
     out = []
-    for (h, r, outline), slack in zip(kept, _slack(scene, [outline for _, _, outline in kept]), strict=True):
+    for (h, r, outline), rim, slack in zip(kept, all_sampled(outlines), _slack(scene, outlines), strict=True):
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
-        (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
-        out.append(Judged(h, r, r.misfit / allowed, outline, covered, (float(x0), float(y0), float(x1), float(y1))))
+        (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
+        out.append(Judged(h, r, r.misfit / allowed, outline, rim, covered, (x0, y0, x1, y1)))
+    return out
+
+
+def _outlines(maps: LocalMaps, items: Sequence[tuple[Hypothesis, Refined]]) -> list[Floats]:
+    """Corners (N, 2) of refined outlines, px; circles are sampled."""
+    out: list[Floats] = [np.empty((0, 2))] * len(items)
+    kinds: dict[Family, list[int]] = {}
+    for i, (h, _) in enumerate(items):
+        kinds.setdefault(h.family, []).append(i)
+    for family, rows in kinds.items():
+        q = np.array([items[i][1].q for i in rows])
+        local = q[:, None, :2] + q[:, 2, None, None] * _RING if family is CIRCLE else corners(family, q)
+        regions = np.array([items[i][0].region for i in rows])
+        for i, outline in zip(rows, maps.all_to_pixels(regions, local), strict=True):
+            out[i] = outline
     return out
 
 

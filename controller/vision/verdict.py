@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.others import other_objects
-from controller.vision.scene import Found, Judged, Scene, overlap, whole
-from controller.vision.selection import WORN, has_hole, select, stains, stands_alone
+from controller.vision.scene import Found, Judged, Scene, overlap, sampled, whole
+from controller.vision.selection import WORN, has_hole, rims, select, stains, stands_alone
 from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, vertices
 from controller.vision.silhouette import measure, reaches
 from controller.vision.timing import Stopwatch
@@ -24,7 +24,8 @@ Floats = NDArray[np.float64]
 def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     """The objects among the refined outlines."""
     accepted = select(scene, judged)
-    found = [_found(scene, item) for item in accepted]
+    holes = has_hole(scene, rims(accepted)).tolist()
+    found = [_found(scene, item, hole) for item, hole in zip(accepted, holes, strict=True)]
     watch.lap("judge")
     if scene.settings.others:
         blur = float(np.median([item.refined.blur for item in accepted])) if accepted else 0.0
@@ -64,7 +65,7 @@ def _worn_disc(scene: Scene, outline: Floats) -> Found | None:
     ring = vertices(CIRCLE, np.array([*center, radius]))
     if not stands_alone(scene, ring):
         return None
-    flags = _border(ring, scene.image.shape) | ({"hole"} if has_hole(scene, ring) else set())
+    flags = _border(ring, scene.image.shape) | ({"hole"} if has_hole(scene, sampled(ring)[None])[0] else set())
     return Found(Shape.CIRCLE, 0.5, ring, ring, center, 2.0 * radius, flags)
 
 
@@ -80,7 +81,7 @@ def _merged(item: Judged) -> bool:
     return float(item.refined.faint.mean()) > 0.08
 
 
-def _found(scene: Scene, item: Judged) -> Found:
+def _found(scene: Scene, item: Judged, hole: bool) -> Found:
     k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q
     verdict = family.shape
     diameter = None
@@ -94,7 +95,7 @@ def _found(scene: Scene, item: Judged) -> Found:
     fit = 1.0 - 0.35 * item.badness**2 if item.badness < 1.0 else 0.65 - 0.15 * (item.badness - 1.0) / (WORN - 1.0)
     score = float(max(fit, 0.0) * min(1.0, item.refined.visible / 0.95))
     flags = _border(item.outline, scene.image.shape)
-    if has_hole(scene, item.outline):
+    if hole:
         flags |= {"hole"}
     return Found(
         verdict, score, item.outline, item.outline, scene.maps.to_pixels(k, center[None])[0], diameter, flags
