@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import savgol_filter
 
 from controller.domain import ArmDescription, Array, ServoCycle, ServoDynamics
 from controller.errors import CalibrationPoorFit
@@ -137,6 +135,9 @@ def identify(arm: ArmDescription, moves: Sequence[Sequence[ServoCycle]]) -> Iden
         off = (predicted(x) - error)[moving] / (_NOISE * np.sqrt(_WINDOW))
         return np.concatenate([off, (x - 1.0) / prior])
 
+    # Slow to load: for those who identify an arm, not for all who read what was identified.
+    from scipy.optimize import least_squares
+
     start = np.ones(len(prior))
     fit = least_squares(residuals, start, bounds=(0.05, 5.0), loss="soft_l1", f_scale=3.0)
     before, after = (
@@ -195,6 +196,8 @@ def _regressors(arm: ArmDescription, cycles: Sequence[ServoCycle]) -> tuple[Arra
 
     All are taken in the middle of the time in which a goal was in force.
     """
+    from scipy.signal import savgol_filter
+
     goals = np.array([cycle.goals for cycle in cycles])
     positions = np.array([cycle.positions for cycle in cycles])
     delay = float(np.mean([cycle.read_at - cycle.sent_at for cycle in cycles]))

@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from controller.domain import ArmDescription, Array
 from controller.errors import Unreachable
 from controller.motion.kinematics import branches, chain, points, solutions
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 # Knots every 12 ms of full speed: the spline between them leaves a vertical stroke by less than 1 um.
 KNOT_SPACING = 0.012
@@ -200,6 +203,9 @@ def join(arm: ArmDescription, legs: Sequence[Leg], corners: Sequence[tuple[float
         marks.append(total_count - 1)
         if k + 1 < len(legs):
             add(_corner(leg, high, legs[k + 1], cuts[k + 1, 0], speeds))
+    # Half a second to load: for those who plan, not for every command.
+    from scipy.interpolate import CubicSpline
+
     q = np.concatenate(samples)
     steps = np.linalg.norm(np.diff(q, axis=0) / speeds, axis=1)
     phase = np.concatenate([[0.0], np.cumsum(steps)])
