@@ -192,8 +192,11 @@ def _columns(
         result = str(row["result"])
         counts[max(bisect_right(starts, when) - 1, 0)][result if result in _DONE else "other"] += 1
     kinds = (*_DONE, "other")
+    # The first and the last column may reach beyond the period.
+    covered = [(min(start + step, until) - max(start, begin)).total_seconds() for start in starts]
     return {
         "step_s": step.total_seconds(),
+        "covered_s": [round(seconds, 3) for seconds in covered],
         "starts": [start.isoformat(timespec="minutes") for start in starts],
         **{kind: [count[kind] for count in counts] for kind in kinds},
     }

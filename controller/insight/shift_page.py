@@ -109,10 +109,14 @@ def _timeline(figures: Mapping[str, Any], since: datetime) -> str:
 
 def _charts(figures: Mapping[str, Any]) -> list[str]:
     over_time = figures["columns"]
-    hours = over_time["step_s"] / 3600.0
-    form = "%d %b" if hours >= 24 else "%H:%M"
+    form = "%d %b" if over_time["step_s"] >= 86400 else "%H:%M"
+    # A column of which the period has next to nothing shows no rate of thousands.
+    hours = [max(seconds, over_time["step_s"] / 20.0) / 3600.0 for seconds in over_time["covered_s"]]
     labels = [datetime.fromisoformat(start).strftime(form) for start in over_time["starts"]]
-    series = {kind: [round(count / hours, 1) for count in over_time[kind]] for kind in _RESULTS}
+    series = {
+        kind: [round(count / length, 1) for count, length in zip(over_time[kind], hours, strict=True)]
+        for kind in _RESULTS
+    }
     downtime = figures["downtime"]
     total, so_far, pareto = sum(line["seconds"] for line in downtime), 0.0, []
     for line in downtime[:10]:

@@ -63,7 +63,8 @@ def simulated(words: list[str], folder: Path) -> list[str]:
         case ["camera", "snapshot"]:
             return [*words, "--sim"]
         case ["calibrate", "camera"]:
-            return [name for word in words for name in (sorted(glob.glob(word)) if "*" in word else [word])]
+            # From pictures instead of live, which `tests/unit/cli/test_calibrate.py` tries with hands of its own.
+            return [*words[:2], *sorted(glob.glob("views/*.png")), *words[4:]]
         case ["calibrate", "check"]:
             return [*words, *SIM, "--points", "20"]
         case ["calibrate", "arm"] | ["home", _] | ["identify", _] | ["jog", _]:
@@ -106,6 +107,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 ELSEWHERE = {"calibrate check": "test_calibrate_cli.py", "identify": "test_motion_cli.py"}
 
 
+@pytest.mark.timeout(300)
 def test_every_command_of_the_guide_works(machine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk_through(machine, capsys, leave_out=tuple(ELSEWHERE))
     for command, file in ELSEWHERE.items():

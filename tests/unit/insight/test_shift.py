@@ -91,6 +91,8 @@ def test_every_second_and_every_part_is_accounted_for_once(busy: Path) -> None:
     assert [span["end_s"] for span in spans[:-1]] == [span["begin_s"] for span in spans[1:]]
     assert sum(found["time_s"].values()) == pytest.approx(found["hours"] * 3600, abs=1.0)
     columns = found["columns"]
+    assert sum(columns["covered_s"]) == pytest.approx(found["hours"] * 3600, abs=1.0)
+    assert all(0.0 < seconds <= columns["step_s"] for seconds in columns["covered_s"])
     assert sum(columns["placed"]) == found["results"]["placed"]
     assert sum(columns["rejected"]) == found["results"]["rejected"]
     assert sum(map(sum, (columns[kind] for kind in ("placed", "rejected", "other")))) == found["targets"]
