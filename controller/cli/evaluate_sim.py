@@ -103,7 +103,7 @@ def evaluate_sim(
         as_json: Print JSON.
     """
     old = _figures_of(compare) if compare is not None else None
-    diary = None if report is None else _Diary(report, head)
+    diary = None if report is None else Diary(report, head)
     records = [] if diary is None else diary.done([job.seed for job in jobs])
     done = {record["seed"] for record in records}
     console = stderr()
@@ -125,7 +125,7 @@ def evaluate_sim(
     finally:
         signal.signal(signal.SIGTERM, before)
     records.sort(key=lambda record: int(record["seed"]))
-    figures = summary({**head, "seeds": _span([record["seed"] for record in records])}, records)
+    figures = summary({**head, "seeds": span([record["seed"] for record in records])}, records)
     if report is not None:
         text = json.dumps({"summary": figures, "runs": records})
         (report / "evaluation.json").write_text(text + "\n", encoding="utf-8")
@@ -138,7 +138,7 @@ def evaluate_sim(
     return 130 if interrupted else 1 if figures["broken_runs"] else 0
 
 
-class _Diary:
+class Diary:
     """The records of an evaluation as they are made, so that one that was cut off can go on.
 
     Args:
@@ -175,7 +175,7 @@ def _read(line: str) -> Record | None:
     return found
 
 
-def _span(seeds: Sequence[int]) -> str:
+def span(seeds: Sequence[int]) -> str:
     """Sorted seeds in words: `0-99`, or one by one where some are missing."""
     if seeds and len(seeds) == seeds[-1] - seeds[0] + 1:
         return f"{seeds[0]}-{seeds[-1]}"

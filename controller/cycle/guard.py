@@ -80,8 +80,10 @@ class Guard:
         Raises:
             Intruder: There is one.
         """
+        T_base_table = self._calibration.T_base_table
         for thing in (*found.objects, *found.in_the_way):
-            if thing.size[1] > self._largest:
+            # Elsewhere the arm and its shadow may look like anything, and no part is picked.
+            if thing.size[1] > self._largest and self._config.in_work_area(thing.center, T_base_table):
                 x, y = thing.center
                 raise Intruder(
                     f"something of {thing.size[0]:.0f} x {thing.size[1]:.0f} mm lies at ({x:.0f}, {y:.0f}) mm",

@@ -70,6 +70,8 @@ class Trial(Observer):
     def watch(self, devices: Devices) -> Sequence[Observer]:
         """Put the watchers before the devices; the observers the run shall tell."""
         assert devices.truth is not None
+        # Nobody looks at the portraits of so many cells, and the painter of one takes a tenth of the whole run.
+        devices.portrait = None
         self._truth, self._touches, self._disturbed = devices.truth, devices.touches, devices.disturbed
         if not self.timed:
             return (self,)

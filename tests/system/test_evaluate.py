@@ -21,7 +21,7 @@ def one_line(stdout: str) -> dict[str, Any]:
 
 def test_tables_are_sorted_over_processes_judged_and_compared(controller: Controller, tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text(json.dumps({"summary": {"correct": 1, "level": "static"}, "runs": []}))
-    asked = ("evaluate", "--sim", "--frames", 2, "--parts", 2, "--level", "ideal", "--seed", 3, "--jobs", 2)
+    asked = ("evaluate", "--sim", "--seeds", "3-4", "--parts", 2, "--level", "ideal", "--jobs", 2)
     done = controller(*asked, "--report", "first", "--compare", "old.json", "--json")
     assert done.returncode == 0, done.stderr
     figures = one_line(done.stdout)
@@ -73,6 +73,7 @@ def test_annotated_pictures_are_compared(controller: Controller, tmp_path: Path)
 
 def test_usage(controller: Controller, tmp_path: Path) -> None:
     assert controller("evaluate").returncode == 2
+    assert controller("evaluate", "--sim", "--seeds", "9-3").returncode == 2
     assert controller("evaluate", "--sim", "--images", tmp_path).returncode == 2
     assert controller("evaluate", "--sim", "--compare", "none.json").returncode == 1
     assert controller("run", "--video", "a.mp4", "--replay", tmp_path).returncode == 2
