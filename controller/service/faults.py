@@ -176,6 +176,15 @@ _ROWS: tuple[Fault, ...] = (
 
 CATALOGUE: Mapping[str, Fault] = {row.code: row for row in _ROWS}
 
+
+
+def table() -> str:
+    """The catalogue as a Markdown table, for the README."""
+    rows = [(f"`{row.code}`", row.name, row.detection, str(row.action), row.remedy) for row in _ROWS]
+    cells = [("code", "fault", "noticed by", "the cell", "remedy"), ("---",) * 5, *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells)
+
+
 _SERVO_BITS: tuple[tuple[int, str], ...] = (
     (0x20, "servo_overload"),
     (0x10, "servo_shock"),
@@ -271,3 +280,7 @@ class FaultRecord(Observer):
     def _keep(self, fault: dict[str, Any]) -> None:
         self.faults.append(fault)
         del self.faults[:-_MOST_FAULTS]
+
+
+if __name__ == "__main__":
+    print(table())

@@ -6,7 +6,7 @@ import os
 from datetime import datetime
 from pathlib import Path
 
-from controller.errors import SorterError
+from controller.errors import LedgerError, SorterError
 from controller.service.lock import InstanceLock
 from controller.service.unit import STATE
 
@@ -37,6 +37,7 @@ def new_run_folder(wanted: Path | None, now: datetime) -> Path:
     Raises:
         FolderTaken: It is not empty.
         InstanceBusy: A run is using it right now.
+        LedgerError: It cannot be made: read-only, no room, no permission.
     """
     if wanted is None:
         stem = Path("runs") / now.strftime("%Y%m%d-%H%M%S")
@@ -49,5 +50,8 @@ def new_run_folder(wanted: Path | None, now: datetime) -> Path:
             with InstanceLock(wanted):
                 pass
         raise FolderTaken(f"{wanted} exists and is not empty", "name a new folder with --out")
-    wanted.mkdir(parents=True, exist_ok=True)
+    try:
+        wanted.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LedgerError(f"{wanted}: {error.strerror or error}", "name a folder that can be written") from error
     return wanted

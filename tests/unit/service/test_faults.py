@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import inspect
+from pathlib import Path
 
 import pytest
 
 from controller import errors
 from controller.cycle.machine import State
 from controller.errors import BusError, CameraLost, PictureUnusable, SafetyStop, ServoFault, SorterError
-from controller.service.faults import CATALOGUE, FaultRecord, fault_code, remedy
+from controller.service.faults import CATALOGUE, FaultRecord, fault_code, remedy, table
 from controller.vision.scenery import Change, trouble
 from drivers.arm.control_table import HARDWARE_ERRORS
 
@@ -79,3 +80,8 @@ def test_a_record_tells_when_and_how_long() -> None:
 @pytest.mark.parametrize("bit", HARDWARE_ERRORS)
 def test_every_bit_a_servo_can_raise_has_a_row_of_its_own(bit: int) -> None:
     assert fault_code(ServoFault("s", "read", "elbow", 1 << bit, "x")) in set(CATALOGUE) - {"servo_rebooted"}
+
+
+def test_the_readme_has_the_catalogue() -> None:
+    readme = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
+    assert table() in readme, "stale: replace the table by the output of python -m controller.service.faults"
