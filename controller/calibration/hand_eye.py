@@ -12,15 +12,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from controller.calibration import files
 from controller.calibration.boards import Board, BoardKind, BoardView
 from controller.calibration.table import board_pose
-from controller.errors import CalibrationPoorFit
+from controller.errors import CalibrationPoorFit, InputError
 from controller.geometry import CameraModel, invert, pose_from_rvec, rvec_tvec
 
 Array = NDArray[np.float64]
@@ -32,6 +35,30 @@ _LEAST_TURN = np.deg2rad(5.0)
 #: All axes of turning this nearly in one direction leave the place along it open.
 _LEAST_SPREAD = 0.05
 _ROUNDS = 5
+
+
+def read_robot_pose(path: Path) -> Array:
+    """T_base_tool (4, 4), mm, of a text of lines `x: 0.1` (also y, z; m) and `qx: 0.1` (also qy, qz, qw).
+
+    Raises:
+        InputError: It cannot be read, or a number is missing.
+    """
+    remedy = "give x, y, z in metres and the quaternion qx, qy, qz, qw, a line each"
+    try:
+        lines = [line.split(":") for line in path.read_text(encoding="utf-8").splitlines() if ":" in line]
+        value = {key.strip(): float(text) for key, text in lines}
+        turn = np.array([value[key] for key in ("qx", "qy", "qz", "qw")])
+        place = np.array([value[key] for key in ("x", "y", "z")])
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", remedy) from error
+    except (ValueError, KeyError) as error:
+        raise InputError(f"{path}: no pose ({error})", remedy) from error
+    if not (np.isfinite(place).all() and abs(float(np.linalg.norm(turn)) - 1.0) < 0.01):
+        raise InputError(f"{path}: its quaternion is not of length 1", remedy)
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat(turn).as_matrix()
+    out[:3, 3] = 1000.0 * place
+    return out
 
 
 class Carried(StrEnum):
@@ -59,6 +86,23 @@ class HandEye:
     rms_px: float
     apart_mm: Array
     apart_deg: Array
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON object of `calibrate robot`."""
+        on_robot, on_ground = ("camera", "board") if self.carried is Carried.CAMERA else ("board", "camera")
+        poses = {"camera": self.T_mount_camera, "board": self.T_mount_board}
+        content = {
+            "carried": self.carried.value,
+            f"T_tool_{on_robot}": poses[on_robot],
+            f"T_base_{on_ground}": poses[on_ground],
+            "rms_px": self.rms_px,
+            "apart_mm": {"mean": self.apart_mm.mean(), "max": self.apart_mm.max()},
+            "apart_deg": {"mean": self.apart_deg.mean(), "max": self.apart_deg.max()},
+            "views": len(self.apart_mm),
+        }
+        plain = files.plain(content)
+        assert isinstance(plain, dict)
+        return plain
 
 
 def fit_hand_eye(

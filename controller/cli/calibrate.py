@@ -19,6 +19,7 @@ from controller.calibration.approval import certificate_of
 from controller.calibration.boards import BoardView, parse_board
 from controller.calibration.camera import CameraCalibration, find_views, fit_views
 from controller.calibration.coverage import coverage_picture
+from controller.calibration.hand_eye import Carried, fit_hand_eye, read_robot_pose
 from controller.calibration.store import load, load_calibration, restore_previous
 from controller.calibration.table import calibrate_table
 from controller.cli.config import default_config
@@ -192,6 +193,33 @@ def check(
     else:
         _certificate(result, folder)
     return 0 if result["verdict"] == "passed" else 1
+
+
+@group.command()
+def robot(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="The board at different robot poses.")],
+    camera: Annotated[Path, typer.Option(metavar="FILE", help="Lens, from `calibrate camera --out`.")],
+    board: BoardSpec,
+    carried: Annotated[Carried, typer.Option(help="What the robot carries.")] = Carried.BOARD,
+    as_json: AsJson = False,
+) -> None:
+    """Where a camera stands against a robot of another make, one that knows its own pose (hand-eye).
+
+    Example: controller calibrate robot views/*.png --camera camera.json --board charuco:5x7:36:18:DICT_6X6_250
+
+    Beside IMAGE.png lies IMAGE_pose.yaml: x, y, z in metres and the quaternion qx, qy, qz, qw of the tool in the
+    robot's base, a line each. Moves nothing.
+    """
+    lens, shown = CameraCalibration.load(camera), parse_board(board)
+    pictures = [(str(path), read_image(path)) for path in images]
+    wrong = next((name for name, image in pictures if image.shape[1::-1] != lens.camera.image_size), None)
+    if wrong is not None:
+        raise InputError(f"{wrong}: not of the size the lens was calibrated at", "use the same camera as it was")
+    seen, rejected = find_views(pictures, shown)
+    poses = [read_robot_pose(Path(name).with_name(f"{Path(name).stem}_pose.yaml")) for name, _ in seen]
+    found = fit_hand_eye([view for _, view in seen], poses, lens.camera, shown, carried)
+    left_out = [{"image": name, "reason": why} for name, why in rejected]
+    _report(found.to_json() | {"views_rejected": left_out}, None, as_json)
 
 
 @group.command()

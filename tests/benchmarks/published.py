@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.calibration.boards import T_TABLE_BOARD, BoardView, parse_board
 from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, find_views, fit_views
-from controller.calibration.hand_eye import Carried, HandEye, fit_hand_eye
+from controller.calibration.hand_eye import Carried, HandEye, fit_hand_eye, read_robot_pose
 from controller.calibration.marker import refine_square
 from controller.calibration.table import board_pose, calibrate_table
 from controller.errors import CalibrationPoorFit
@@ -111,18 +111,8 @@ def robot(shared: Path, kind: str) -> HandEye:
     folder, board = shared / "data" / "rosi_charuco_robot", parse_board(spec)
     views, rejected = find_views(load(shared, f"rosi_charuco_robot/{pattern}"), board)
     camera = fit_views(views, rejected, board).camera
-    poses = [robot_pose(folder / f"{Path(name).stem}_pose.yaml") for name, _ in views]
+    poses = [read_robot_pose(folder / f"{Path(name).stem}_pose.yaml") for name, _ in views]
     return fit_hand_eye([view for _, view in views], poses, camera, board, carried)
-
-
-def robot_pose(path: Path) -> Array:
-    """T_base_tool (4, 4), mm, of a file of lines `x: 0.1` (m) and `qx: 0.1`."""
-    lines = (line.split(":") for line in path.read_text().splitlines() if ":" in line)
-    value = {key.strip(): float(text) for key, text in lines}
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat([value[key] for key in ("qx", "qy", "qz", "qw")]).as_matrix()
-    out[:3, 3] = 1000.0 * np.array([value[key] for key in ("x", "y", "z")])
-    return out
 
 
 def repeatability(views: list[BoardView], camera: CameraModel) -> tuple[Array, Array]:

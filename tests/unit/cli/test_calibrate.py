@@ -122,3 +122,28 @@ def test_a_live_capture_needs_a_camera(capsys: pytest.CaptureFixture[str]) -> No
     code, _, error = calibrate(capsys, "--board", SPEC)
     assert code == 1
     assert "--sim" in error
+
+
+def test_a_robot_and_its_camera_from_files(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = shared / "data" / "rosi_charuco_robot"
+    spec = "charuco:5x7:36.195:18.256:DICT_6X6_250"
+    pictures = sorted(folder.glob("charuco_*.jpg"))
+    code, _, said = calibrate(capsys, *pictures, "--board", spec, "--out", tmp_path / "lens.json", "--json")
+    assert code == 0, said
+    arguments = [*pictures, "--board", spec, "--camera", tmp_path / "lens.json", "--json"]
+    assert execute(["calibrate", "robot", *map(str, arguments)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    # The source's own test asks for 1.5 px, 5 mm and 1.5 degrees.
+    assert found["rms_px"] < 1.5
+    assert found["apart_mm"]["mean"] < 3.0
+    assert found["apart_deg"]["mean"] < 0.5
+    assert len(found["T_base_camera"]) == 4
+
+
+def test_a_robot_pose_that_makes_no_sense_is_named(
+    views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens = tmp_path / "lens.json"
+    assert calibrate(capsys, *sorted(views.glob("*.png")), "--board", SPEC, "--out", lens)[0] == 0
+    assert execute(["calibrate", "robot", str(views / "00.png"), "--board", SPEC, "--camera", str(lens)]) == 1
+    assert "00_pose.yaml: cannot be read" in capsys.readouterr().err
