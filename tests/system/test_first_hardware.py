@@ -63,7 +63,7 @@ def simulated(words: list[str], folder: Path) -> list[str]:
         case ["camera", "snapshot"]:
             return [*words, "--sim"]
         case ["calibrate", "camera"]:
-            # From pictures instead of live, which `tests/unit/cli/test_calibrate.py` tries with hands of its own.
+            # From pictures: the live guide, with simulated hands, is tried once in `test_the_whole_guide_in_one_go`.
             return [*words[:2], *sorted(glob.glob("views/*.png")), *words[4:]]
         case ["calibrate", "check"]:
             return [*words, *SIM, "--points", "20"]
@@ -119,6 +119,8 @@ def test_every_command_of_the_guide_works(machine: Path, capsys: pytest.CaptureF
 @pytest.mark.timeout(600)
 def test_the_whole_guide_in_one_go(machine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk_through(machine, capsys)
+    (live,) = (words for words in guide() if words[:2] == ["calibrate", "camera"])
+    assert execute([*live, *SIM]) == 0, capsys.readouterr().err
 
 
 def walk_through(machine: Path, capsys: pytest.CaptureFixture[str], leave_out: tuple[str, ...] = ()) -> None:
