@@ -159,7 +159,10 @@ class Diary:
             return []
         # The last line may have been cut off with the process that wrote it.
         found = {record["seed"]: record for record in map(_read, lines[1:]) if record is not None}
-        return [found[seed] for seed in seeds if seed in found and "error" not in found[seed]]
+        kept = {seed: record for seed, record in found.items() if "error" not in record}
+        text = [json.dumps(line) for line in (self._head, *kept.values())]
+        self._path.write_text("\n".join(text) + "\n", encoding="utf-8")
+        return [kept[seed] for seed in seeds if seed in kept]
 
     def add(self, record: Record) -> None:
         """Keep a record."""

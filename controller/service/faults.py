@@ -118,7 +118,6 @@ _ROWS: tuple[Fault, ...] = (
           _A.SUSPENDED, "empty the bin, then controller bins emptied NAME"),
     Fault("intruder", "hand over the table", "something reaches into the view or is larger than any part", _A.HELD,
           "clear the table, then controller resume"),
-    Fault("bin_full", "bin full", "as many parts as it takes were put in", _A.SUSPENDED, "empty the bin"),
     # --- arm ---
     Fault("bus_timeout", "servo does not answer", "five cycles in a row, or every retry of a read", _A.STOPPED,
           "check its cable and the 12 V supply; " + _REDO),

@@ -16,7 +16,10 @@ def test_tables_that_are_done_are_not_done_again(tmp_path: Path) -> None:
     diary.add({"seed": 4, "error": "it broke off"})
     with (tmp_path / "runs.jsonl").open("a") as file:
         file.write('{"seed": 5, "fig')
-    assert Diary(tmp_path, HEAD).done([3, 4, 5]) == [{"seed": 3, "figures": {"parts": 10}}]
+    again = Diary(tmp_path, HEAD)
+    assert again.done([3, 4, 5]) == [{"seed": 3, "figures": {"parts": 10}}]
+    again.add({"seed": 5, "figures": {}})
+    assert [record["seed"] for record in Diary(tmp_path, HEAD).done([3, 4, 5])] == [3, 5]
 
 
 def test_records_of_something_else_are_thrown_away(tmp_path: Path) -> None:
