@@ -19,9 +19,11 @@ from controller.calibration.approval import certificate_of
 from controller.calibration.boards import BoardView, parse_board
 from controller.calibration.camera import CameraCalibration, find_views, fit_views
 from controller.calibration.coverage import coverage_picture
+from controller.calibration.guided import TABLE_FRAMES
 from controller.calibration.hand_eye import Carried, fit_hand_eye, read_robot_pose
 from controller.calibration.store import load, load_calibration, restore_previous
 from controller.calibration.table import calibrate_table
+from controller.cli.camera import open_camera
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt
 from controller.cli.live import capture_live
@@ -108,18 +110,33 @@ def camera(
 
 @group.command()
 def table(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="The board lying on the table, unmoved.")],
     camera: Annotated[Path, typer.Option(metavar="FILE", help="Lens, from `calibrate camera --out`.")],
     board: BoardSpec,
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[IMAGE...]", help="The board lying on the table, unmoved; none: taken now."),
+    ] = None,
     out: Out = None,
+    config: ConfigFile = None,
+    device: Annotated[str | None, typer.Option(metavar="PATH", help="Taken now: another camera.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """The table's plane and the camera's pose over it, from one or more pictures of the board lying there.
 
-    Example: controller calibrate table sheet.png --camera camera.json --board charuco:10x7:28:21:DICT_5X5_100
+    Examples: controller calibrate table sheet.png --camera camera.json --board charuco:10x7:28:21:DICT_5X5_100 |
+    controller calibrate table --config cell.toml --camera camera.json --board charuco:10x7:28:21:DICT_5X5_100
+
+    Taken now, ten pictures are averaged. Corner markers (`controller board --corners`) in view are noted.
     """
-    lens = CameraCalibration.load(camera)
-    made = calibrate_table([(str(path), read_image(path)) for path in images], lens, parse_board(board))
+    lens, shown = CameraCalibration.load(camera), parse_board(board)
+    if images:
+        pictures = [(str(path), read_image(path)) for path in images]
+    elif config is None and device is None:
+        raise InputError("no picture was named", "name pictures; to take them now: --config FILE or --device PATH")
+    else:
+        with open_camera(config, device, False) as (seen, clock):
+            pictures = [(f"picture {k + 1}", seen.capture(clock.now(), timeout=5.0).image) for k in range(TABLE_FRAMES)]
+    made = calibrate_table(pictures, lens, shown)
     if out is not None:
         made.save(out, provenance_now())
     _report(made.to_json(lens), out, as_json)

@@ -11,7 +11,10 @@ import pytest
 
 from controller.calibration.boards import parse_board
 from controller.calibration.guided import board_pose_for, wanted_views
+from controller.cli import camera as room
 from controller.cli import execute
+from controller.domain import Frame
+from sim_backends.virtual_clock import VirtualClock
 from tests.unit.calibration.scene import paint, small_lens
 
 LENS = small_lens()
@@ -147,3 +150,33 @@ def test_a_robot_pose_that_makes_no_sense_is_named(
     assert calibrate(capsys, *sorted(views.glob("*.png")), "--board", SPEC, "--out", lens)[0] == 0
     assert execute(["calibrate", "robot", str(views / "00.png"), "--board", SPEC, "--camera", str(lens)]) == 1
     assert "00_pose.yaml: cannot be read" in capsys.readouterr().err
+
+
+class Looking:
+    """A camera over a table with the board on it."""
+
+    def __init__(self) -> None:
+        tilted = wanted_views()[4]
+        self.image = paint(BOARD.draw(0.7), 0.7, board_pose_for(tilted, BOARD, LENS.image_size), LENS, samples=2)
+        self.pictures = 0
+
+    def open(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def capture(self, after: float, timeout: float = 2.0) -> Frame:
+        self.pictures += 1
+        return Frame(self.pictures, after, np.dstack([self.image] * 3), "/dev/video0")
+
+
+def test_the_table_is_measured_from_pictures_taken_now(
+    views: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens, out, looking = tmp_path / "lens.json", tmp_path / "table.json", Looking()
+    assert calibrate(capsys, *sorted(views.glob("*.png")), "--board", SPEC, "--out", lens)[0] == 0
+    monkeypatch.setattr(room, "lone_camera", lambda config, device: (looking, VirtualClock()))
+    arguments = ["--camera", str(lens), "--board", SPEC, "--device", "/dev/video0", "--out", str(out)]
+    assert execute(["calibrate", "table", *arguments]) == 0
+    assert looking.pictures == 10
+    assert json.loads(out.read_text())["frames"] == 10
+    assert {"made_at", "software"} <= set(json.loads(out.read_text())["provenance"])
