@@ -38,7 +38,8 @@ _SMOOTHING = 0.7
 
 _ALLOWED = (
     "chessboard:COLSxROWS:SQUARE_MM (inner corners), chessboard:any:SQUARE_MM, "
-    "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT[:legacy] (squares), circles:COLSxROWS:PITCH_MM"
+    "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICT[:legacy] (squares), circles:COLSxROWS:PITCH_MM, "
+    "acircles:COLSxROWS:PITCH_MM (every second row shifted by PITCH, discs 2 PITCH apart in a row)"
 )
 
 
@@ -49,6 +50,7 @@ class BoardKind(StrEnum):
     OVERFILLED = "chessboard:any"
     CHARUCO = "charuco"
     CIRCLES = "circles"
+    STAGGERED = "acircles"
 
 
 class BoardNotFound(CalibrationError):
@@ -118,6 +120,10 @@ class Board:
             columns, rows = columns - 1, rows - 1
         x = (np.arange(columns) - (columns - 1) / 2) * self.pitch
         y = (np.arange(rows) - (rows - 1) / 2) * self.pitch
+        if self.kind is BoardKind.STAGGERED:
+            shifted = 2.0 * np.tile(np.arange(columns), (rows, 1)) + np.arange(rows)[:, None] % 2
+            x = (shifted - (2 * columns - 1) / 2).ravel() * self.pitch
+            return np.column_stack([x, np.repeat(y, columns), np.zeros(columns * rows)])
         return np.column_stack([np.tile(x, rows), np.repeat(y, columns), np.zeros(columns * rows)])
 
     @property
@@ -148,6 +154,8 @@ class Board:
         Raises:
             InputError: The board has no fixed size, or its details would be smaller than a pixel.
         """
+        if self.kind is BoardKind.STAGGERED:
+            raise InputError(f"{self.spec} is read, not printed", "print charuco:10x7:28:21:DICT_5X5_100 instead")
         if self.kind is BoardKind.OVERFILLED:
             raise InputError(f"{self.spec} has no size to print", "name its inner corners, e.g. chessboard:13x9:20")
         cell = round(self.pitch / pixel_mm)
@@ -217,6 +225,8 @@ def parse_board(spec: str) -> Board:
             if fields[0].lower() == "any":
                 return Board(spec, BoardKind.OVERFILLED, 0, 0, _length(fields[1]))
             return Board(spec, BoardKind.CHESSBOARD, *_count(fields[0], 3), _length(fields[1]))
+        if kind == "acircles" and len(fields) == 2:
+            return Board(spec, BoardKind.STAGGERED, *_count(fields[0], 3), _length(fields[1]))
         if kind == "circles" and len(fields) == 2:
             return Board(spec, BoardKind.CIRCLES, *_count(fields[0], 3), _length(fields[1]))
         if kind == "charuco" and (len(fields) == 4 or (len(fields) == 5 and fields[4].lower() == "legacy")):
@@ -372,6 +382,13 @@ def _find_circles(board: Board, gray: NDArray[np.uint8]) -> Array:
     parameters.minDistBetweenBlobs = 4.0
     detector = cv2.SimpleBlobDetector.create(parameters)
     size = (board.columns, board.rows)
+    if board.kind is BoardKind.STAGGERED:
+        found, centres = cv2.findCirclesGrid(
+            gray, size, flags=cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING, blobDetector=detector
+        )
+        if not found:
+            raise BoardNotFound(f"no staggered grid of {board.columns}x{board.rows} discs seen")
+        return np.asarray(centres, np.float64).reshape(-1, 2)
     for extra in (0, cv2.CALIB_CB_CLUSTERING):
         found, centres = cv2.findCirclesGrid(
             gray, size, flags=cv2.CALIB_CB_SYMMETRIC_GRID | extra, blobDetector=detector

@@ -86,6 +86,8 @@ def lay_out(board: Board) -> Sheet:
     """
     if board.kind is BoardKind.OVERFILLED:
         raise InputError(f"{board.spec} has no size to print", "name its inner corners, e.g. chessboard:13x9:20")
+    if board.kind is BoardKind.STAGGERED:
+        raise InputError(f"{board.spec} is read, not printed", "print charuco:10x7:28:21:DICT_5X5_100 instead")
     columns, rows = board.squares
     ink = columns * board.pitch, rows * board.pitch
     best: tuple[float, str, tuple[float, float], bool] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -139,3 +140,23 @@ def test_an_overfilled_board_has_nothing_to_print() -> None:
 def test_details_below_a_pixel_are_refused() -> None:
     with pytest.raises(InputError, match="even number of pixels"):
         parse_board("chessboard:9x6:20").draw(0.7)
+
+
+def test_a_staggered_grid_of_discs_is_read() -> None:
+    """The pattern of OpenCV's own samples: 4 x 11 discs, every second row shifted by half their distance."""
+    board = parse_board("acircles:4x11:20")
+    pixel = 0.5
+    half = np.abs(board.corners[:, :2]).max(axis=0) + 30.0
+    print_ = np.full((int(2 * half[1] / pixel), int(2 * half[0] / pixel)), 255, np.uint8)
+    for x, y, _ in board.corners:
+        at = ((np.array([x, y]) + half) / pixel - 0.5) * 16
+        centre = (round(float(at[0])), round(float(at[1])))
+        cv2.circle(print_, centre, round(7.0 / pixel * 16), (0.0,), -1, cv2.LINE_AA, 4)
+    T = pose_from_rvec([0.2, -0.3, 1.4], [10.0, -5.0, 520.0])
+    found = board.find(paint(print_, pixel, T, LENS))
+    assert len(found.ids) == 44
+    # Perspective shifts the middle of a disc's ellipse by some tenths of a pixel.
+    expected = LENS.project(found.object_points @ T[:3, :3].T + T[:3, 3])
+    assert np.abs(found.image_points - expected).max() < 0.5
+    with pytest.raises(InputError, match="read, not printed"):
+        board.draw(0.5)
