@@ -96,7 +96,8 @@ class Looker:
             clock.charge(budget)
         else:
             detected = ahead.detected.result()
-            clock.charge(max(ahead.began + budget - clock.now(), 0.0))
+            if (rest := ahead.began + budget - clock.now()) > 0.0:
+                clock.charge(rest)
             for observer in self._rig.observers:
                 observer.worked_ahead(ahead.began, ahead.began + budget)
         self._guard.check_frame(frame)
