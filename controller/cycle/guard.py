@@ -80,10 +80,11 @@ class Guard:
         Raises:
             Intruder: There is one.
         """
-        T_base_table = self._calibration.T_base_table
+        T_base_table, reach = self._calibration.T_base_table, self._config.table.work_area.outer_radius_mm
         for thing in (*found.objects, *found.in_the_way):
-            # Elsewhere the arm and its shadow may look like anything, and no part is picked.
-            if thing.size[1] > self._largest and self._config.in_work_area(thing.center, T_base_table):
+            # Outside the area the arm and its shadow may look like anything; what is longer than it crosses the rim.
+            there = thing.size[0] < reach and self._config.in_work_area(thing.center, T_base_table)
+            if there and thing.size[1] > self._largest:
                 x, y = thing.center
                 raise Intruder(
                     f"something of {thing.size[0]:.0f} x {thing.size[1]:.0f} mm lies at ({x:.0f}, {y:.0f}) mm",
