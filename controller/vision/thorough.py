@@ -6,6 +6,7 @@ the plausible fits are refined on the pixels. Regions that remain open are cut a
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -134,7 +135,7 @@ def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Ju
         judged += tried(scene, wanted, blur)
         blur = typical_blur(judged, blur)
     if scene.sides:
-        good_ones = [j for j in judged if j.badness < 1.0]
+        good_ones = [j for j in judged if j.badness < 1.0 or math.isinf(j.badness)]
         assert scene.plane is not None
         below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
         tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]

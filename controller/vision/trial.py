@@ -22,21 +22,27 @@ from controller.vision.silhouette import feet
 Floats = NDArray[np.float64]
 
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
+_HALF_SEEN = 0.55
+"""Share of a silhouette's outline that its top face's shape explains at least."""
 _THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 
 
 def tried(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
-    """Hypotheses refined, those with a visible outline."""
+    """Hypotheses refined, those with a visible outline.
+
+    Where side faces show, outlines half seen are kept as well, with a badness that nobody believes: they may be
+    silhouettes, whose one half is the top face's.
+    """
     settings, maps = scene.settings, scene.maps
     refined = refine(
         scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
-        # Where side faces show, the rim beside a top face is looked at on purpose instead.
-        [h.region for h in wanted], blur, restarts=0 if scene.sides else 3,
+        [h.region for h in wanted], blur, restarts=3,
     )  # fmt: skip
+    least = min(settings.visible, _HALF_SEEN) if scene.sides else settings.visible
     shown = [
         (h, r) for h, r in zip(wanted, refined, strict=True)
-        if r is not None and r.visible >= settings.visible
+        if r is not None and r.visible >= least
         and r.levels >= settings.minimum_contrast and r.contrast >= 1.0
     ]  # fmt: skip
     kept = [
@@ -49,7 +55,8 @@ def tried(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
-        out.append(Judged(h, r, r.misfit / allowed, outline, rim, covered, (x0, y0, x1, y1)))
+        badness = r.misfit / allowed if r.visible >= settings.visible else math.inf
+        out.append(Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1)))
     return out
 
 
