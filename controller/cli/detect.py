@@ -36,7 +36,10 @@ def detect(
     table: Annotated[Path | None, typer.Option(metavar="FILE", help="Table, from `calibrate table --out`.")] = None,
     height_mm: Annotated[float, typer.Option(min=0.0, max=500.0, help="Height of the parts.")] = 20.0,
     background: Annotated[Path | None, typer.Option(metavar="IMAGE", help="Picture of the empty table.")] = None,
-    save: Annotated[Path | None, typer.Option(metavar="DIR", help="Write annotated pictures into DIR.")] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write annotated pictures into DIR, and below it one after every stage."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object a picture on stdout.")] = False,
 ) -> int:
     """Find and name the objects in pictures; with lens and table calibrated, also in millimetres.
@@ -56,7 +59,8 @@ def detect(
     for index, path in enumerate(shown, 1):
         try:
             frame = Frame(index, 0.0, read_image(path), str(path))
-            result, detections, located = _one(frame, recipe, how, calibration, height_mm, empty)
+            trace: dict[str, NDArray[np.generic]] | None = None if save is None else {}
+            result, detections, located = _one(frame, recipe, how, calibration, height_mm, empty, trace)
         except InputError as error:
             failed += 1
             if as_json:
@@ -65,6 +69,7 @@ def detect(
             continue
         if save is not None:
             _save(save / f"{path.stem}.png", frame, detections, located, how)
+            _save_stages(save / "stages" / path.stem, trace or {})
         if as_json:
             print(json.dumps(result), flush=True)
         else:
@@ -101,6 +106,7 @@ def _one(
     calibration: CellCalibration | None,
     height_mm: float,
     background: NDArray[np.uint8] | None,
+    trace: dict[str, NDArray[np.generic]] | None,
 ) -> tuple[dict[str, Any], tuple[Detection, ...], tuple[LocatedObject, ...]]:
     plane = None
     if calibration is not None:
@@ -113,7 +119,7 @@ def _one(
         plane = calibration.plane(height_mm / 2)
     if background is not None and background.shape != frame.image.shape:
         raise InputError(f"{frame.source} and the background differ in size", "take both with the same camera")
-    detected = find(frame, recipe, plane=plane, background=background)
+    detected = find(frame, recipe, plane=plane, background=background, trace=trace)
     located: tuple[LocatedObject, ...] = ()
     if calibration is not None:
         located = locate(detected.detections, calibration, lambda _: height_mm).objects
@@ -129,6 +135,16 @@ def _save(
         picture = annotate(frame.image, detections, located=located)
     if not cv2.imwrite(str(path), picture):
         raise InputError(f"{path} cannot be written", "name a folder that can be written with --save")
+
+
+def _save_stages(folder: Path, trace: dict[str, NDArray[np.generic]]) -> None:
+    """Write the image after every stage, named by it."""
+    if trace:
+        folder.mkdir(parents=True, exist_ok=True)
+    for name, picture in trace.items():
+        file = folder / f"{name}.png"
+        if not cv2.imwrite(str(file), np.asarray(picture, np.uint8)):
+            raise InputError(f"{file} cannot be written", "name a folder that can be written with --save")
 
 
 def _table(result: dict[str, Any]) -> None:

@@ -92,6 +92,11 @@ def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: floa
 
 def _believable(scene: Scene, item: Judged) -> bool:
     """Whether an outline is its shape, though perhaps a worn one."""
+    height, width = scene.image.shape[:2]
+    (x0, y0, x1, y1), end = item.box, 1.0
+    cut = x0 < -end or y0 < -end or x1 > width - 1 + end or y1 > height - 1 + end
+    if cut and not scene.sides and not stands_alone(scene, item.outline):
+        return False
     if item.hypothesis.family is CIRCLE and item.badness > 0.25 and item.refined.chi > 3.0 and many_sided(item.refined):
         return False
     if item.badness <= 1.0:
@@ -130,7 +135,10 @@ def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
     difference = scene.strengths(sampled(outline), 0.93, 0.8)
     strength = np.sqrt(np.vecdot(difference, difference))
     filled = strength > scene.settings.level
-    around = scene.differences(outside(outline, 3.0 + 3.0 * scene.factor))
+    points = outside(outline, 3.0 + 3.0 * scene.factor)
+    height, width = scene.image.shape[:2]
+    beyond_frame = (points < 0.0).any(axis=1) | (points[:, 0] > width - 1) | (points[:, 1] > height - 1)
+    around = np.where(beyond_frame[:, None], 0.0, scene.differences(points))
     faint = max(2.0 * scene.settings.level, 0.3 * float(np.median(strength)))
     beyond = np.sqrt(np.vecdot(around, around))
     table = (beyond < faint) | (_shaded(scene, around) & (beyond < 0.5 * float(np.median(strength))))
@@ -202,16 +210,19 @@ def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:
     return np.asarray(np.median(np.sqrt(np.vecdot(difference, difference)), axis=1) < _TABLE)
 
 
-def _shadow_like(scene: Scene, item: Judged) -> bool:
-    """Whether the rim inside an outline is the table's colour, only darker."""
-    return bool(_shaded(scene, np.median(scene.strengths(item.rim, 0.85), axis=0)[None])[0])
+def _shadow_like(scene: Scene, item: Judged, share: float = 0.85) -> bool:
+    """Whether the inside of an outline, shrunk to a share, is the table's colour, only darker."""
+    return bool(_shaded(scene, np.median(scene.strengths(item.rim, share), axis=0)[None])[0])
 
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
     # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
     holes = has_hole(scene, rims(accepted)).tolist()
-    dim = [hole or _shadow_like(scene, item) for item, hole in zip(accepted, holes, strict=True)]
+    dim = [
+        hole or _shadow_like(scene, item) or _shadow_like(scene, item, 0.4)
+        for item, hole in zip(accepted, holes, strict=True)
+    ]
     if scene.plane is None or not any(dim):
         return accepted
     upright = [item.outline for item, shadow in zip(accepted, dim, strict=True) if not shadow]

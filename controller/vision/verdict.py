@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Shape
 from controller.geometry import PlaneMap
+from controller.vision.contact import with_contacts
 from controller.vision.others import other_objects
 from controller.vision.scene import Found, Judged, Scene, overlap, sampled, whole
 from controller.vision.selection import WORN, has_hole, rims, select, stains, stands_alone
@@ -51,7 +52,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     if scene.sides and scene.plane is not None:
         found = _with_sides(scene.image, scene.noise, found, scene.plane)
         watch.lap("sides")
-    return found
+    return with_contacts(found)
 
 
 def _worn_disc(scene: Scene, outline: Floats) -> Found | None:

@@ -97,3 +97,32 @@ def test_a_disc_with_a_bite_is_round_and_half_a_disc_is_not() -> None:
     hexagon = cv2.convexHull(corners(Shape.HEXAGON, 80.0).astype(np.float32))[:, 0].astype(float)
     sides = zip(hexagon, np.roll(hexagon, -1, axis=0), strict=True)
     assert round_outline(np.concatenate([a + (b - a) * np.linspace(0, 1, 16)[:, None] for a, b in sides]), 0.5) is None
+
+
+def test_touching_parts_are_flagged_and_others_are_not() -> None:
+    left, right = at(corners(Shape.SQUARE, 50.0), 80, 120), at(corners(Shape.CIRCLE, 44.0), 80 + 25 + 22, 120)
+    alone = at(corners(Shape.HEXAGON, 50.0), 250, 120)
+    items = found(paint([(left, DARK), (right, (90.0, 70.0, 160.0)), (alone, DARK)]))
+    assert {item.shape: sorted(item.flags) for item in items} == {
+        Shape.SQUARE: ["touching"], Shape.CIRCLE: ["touching"], Shape.HEXAGON: [],
+    }  # fmt: skip
+
+
+def striped(things: list[tuple[NDArray[np.float64], tuple[float, float, float]]], seed: int) -> NDArray[np.uint8]:
+    """A table with broad dark stripes and a printed ring, with things on it."""
+    table = np.where((np.arange(320) // 40) % 2, 120.0, 190.0)[None, :, None] * np.ones((240, 320, 3))
+    cv2.circle(table, (60, 180), 30, (60.0, 60.0, 60.0), 6)
+    for outline, colour in things:
+        cover = paint([(outline, (255.0, 255.0, 255.0))], table=(0.0, 0.0, 0.0), blur=0.3, noise=0.0) / 255.0
+        table = table * (1.0 - cover) + np.array(colour) * cover
+    noisy = cv2.GaussianBlur(table, (0, 0), 0.8) + np.random.default_rng(seed).normal(0.0, 2.0, table.shape)
+    return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
+
+
+def test_a_picture_of_the_empty_table_takes_out_what_is_printed_on_it() -> None:
+    empty = striped([], 1)
+    assert detect(frame(striped([], 2)), RECIPE, background=empty).detections == ()
+    things = [(at(corners(Shape.HEXAGON, 60.0), 120, 70), (30.0, 40.0, 200.0))]
+    items = detect(frame(striped(things, 3)), RECIPE, background=empty).detections
+    assert [item.shape for item in items] == [Shape.HEXAGON]
+    assert items[0].center_px == pytest.approx((120.0, 70.0), abs=0.1)
