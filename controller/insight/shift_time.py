@@ -20,6 +20,9 @@ OFF = "off"
 """The program was not running."""
 _SHORTEST = timedelta(seconds=1)
 """A shorter rest of a period is no time off."""
+# What lies beyond was not written by this program.
+_YEARS = range(1970, 2500)
+_LONGEST_RUN = 3.2e9  # s, a hundred years
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +45,8 @@ class Run:
 
     def at(self, at_s: object) -> datetime:
         """A time of the cell's clock on the calendar."""
-        try:
-            return self.begin + timedelta(seconds=number(at_s) - number(self.row["started_at_s"]))
-        except OverflowError:
-            return self.begin
+        seconds = number(at_s) - number(self.row["started_at_s"])
+        return self.begin + timedelta(seconds=seconds) if abs(seconds) < _LONGEST_RUN else self.begin
 
     def within(self, since: datetime, until: datetime) -> Selection:
         """Records of this run in a period."""
@@ -159,6 +160,8 @@ def date(wall: object) -> datetime:
     try:
         found = datetime.fromisoformat(str(wall))
     except ValueError:
+        return datetime.fromtimestamp(0, UTC)
+    if found.year not in _YEARS:
         return datetime.fromtimestamp(0, UTC)
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 

@@ -23,8 +23,15 @@ from tests.unit.ledger.nouns import outcome, plan
 NOW = datetime(2026, 3, 10, 12, tzinfo=UTC)
 
 
+class Files:
+    """The bytes of a database and of its log; no dataclass, whose repr would be all of them."""
+
+    def __init__(self, database: bytes, log: bytes) -> None:
+        self.database, self.log = database, log
+
+
 @pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
+def original(tmp_path_factory: pytest.TempPathFactory) -> Files:
     """A database and its log, as a killed process leaves them."""
     path = tmp_path_factory.mktemp("original") / "ledger.db"
     with SqliteLedger(path, clock=VirtualClock(), wall=lambda: NOW) as ledger:
@@ -35,8 +42,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
             ledger.intend(f"t{number}", plan(f"t{number}"), 1, 4.0)
             ledger.conclude(outcome(f"t{number}", Result.DROPPED))
             ledger.note("state", 5.0, doing="held", code="camera_lost", cause="x", remedy="y")
-        found = path.read_bytes(), path.with_name("ledger.db-wal").read_bytes()
-    return found
+        return Files(path.read_bytes(), path.with_name("ledger.db-wal").read_bytes())
 
 
 def look_at_everything(path: Path) -> None:
@@ -56,11 +62,10 @@ def look_at_everything(path: Path) -> None:
 @pytest.mark.safety("SR-43")
 @HOSTILE
 @given(data=st.data())
-def test_no_bytes_crash_the_readers(data: st.DataObject, original: tuple[bytes, bytes], tmp_path: Path) -> None:
-    database, log = original
+def test_no_bytes_crash_the_readers(data: st.DataObject, original: Files, tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
-    path.write_bytes(data.draw(spoiled(database)) if data.draw(st.booleans()) else database)
-    path.with_name("ledger.db-wal").write_bytes(data.draw(spoiled(log)) if data.draw(st.booleans()) else b"")
+    path.write_bytes(data.draw(spoiled(original.database)) if data.draw(st.booleans()) else original.database)
+    path.with_name("ledger.db-wal").write_bytes(data.draw(spoiled(original.log)) if data.draw(st.booleans()) else b"")
     path.with_name("ledger.db-shm").unlink(missing_ok=True)
     look_at_everything(path)
 
@@ -69,14 +74,14 @@ def test_no_bytes_crash_the_readers(data: st.DataObject, original: tuple[bytes, 
 @HOSTILE
 @given(data=st.data())
 def test_no_bytes_keep_the_writer_from_a_sound_record(
-    data: st.DataObject, original: tuple[bytes, bytes], tmp_path: Path
+    data: st.DataObject, original: Files, tmp_path: Path
 ) -> None:
     """It opens what is sound, sets aside what is damaged, or refuses; what it opens takes a record that can be read."""
     for old in tmp_path.iterdir():
         old.unlink()
     path = tmp_path / "ledger.db"
-    path.write_bytes(data.draw(spoiled(original[0])))
-    path.with_name("ledger.db-wal").write_bytes(data.draw(spoiled(original[1])))
+    path.write_bytes(data.draw(spoiled(original.database)))
+    path.with_name("ledger.db-wal").write_bytes(data.draw(spoiled(original.log)))
     try:
         with SqliteLedger(path, clock=VirtualClock(), wall=lambda: NOW) as ledger:
             ledger.begin_run(software_version="2", config_hash="x")
@@ -102,12 +107,12 @@ VALUES = st.one_of(
 @HOSTILE
 @given(changes=st.lists(st.tuples(st.sampled_from(sorted(COLUMNS)), st.integers(0, 9), VALUES), min_size=1, max_size=5))
 def test_no_values_crash_the_readers(
-    changes: list[tuple[str, int, object]], original: tuple[bytes, bytes], tmp_path: Path
+    changes: list[tuple[str, int, object]], original: Files, tmp_path: Path
 ) -> None:
     """A ledger that SQLite takes for sound, with values that this program never writes."""
     path = tmp_path / "ledger.db"
-    path.write_bytes(original[0])
-    path.with_name("ledger.db-wal").write_bytes(original[1])
+    path.write_bytes(original.database)
+    path.with_name("ledger.db-wal").write_bytes(original.log)
     path.with_name("ledger.db-shm").unlink(missing_ok=True)
     connection = sqlite3.connect(path, isolation_level=None)
     connection.execute("PRAGMA ignore_check_constraints = ON")
