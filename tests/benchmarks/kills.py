@@ -95,6 +95,7 @@ class Prepared:
             look_at_cell(SEED, PARTS, "dynamic", folder)
             calibration = folder / "calibration"
             certify(calibration)
+            certify(calibration)
         config = load_cell(shipped("sim.toml"))
         options = BackendOptions(folder, parts=PARTS, seed=SEED, level=Level.DYNAMIC)
         devices = DEVICES[Mode.SIM](config, load_arm(config.arm.description), options)

@@ -44,6 +44,7 @@ from controller.service.faults import fault_code
 from controller.service.session import RunOptions, Session
 from sim_backends.person import Person
 from tests.benchmarks.cell_vision import look_at_cell
+from tests.unit.calibration.certified import certify
 
 PASSING = (
     "camera_lost", "camera_stalled", "picture_frozen", "picture_black", "picture_overexposed", "picture_torn",
@@ -295,6 +296,7 @@ def run(
     if calibration is None:
         look_at_cell(seed, parts, "dynamic", folder)
         calibration = folder / "calibration"
+        certify(calibration)
     faults = folder / "faults.toml"
     faults.write_text(script(seconds, seed, faults_an_hour), encoding="utf-8")
     found = Found()

@@ -20,6 +20,7 @@ from tests.benchmarks.cell_vision import look_at_cell
 from tests.benchmarks.fault_matrix import CASES, SEED, run_case
 from tests.benchmarks.kills import run as run_kills
 from tests.benchmarks.soak import run as soak
+from tests.unit.calibration.certified import certify
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +28,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The calibration of the matrix's cell."""
     folder = tmp_path_factory.mktemp("cell")
     look_at_cell(SEED, 1, "dynamic", folder)
+    certify(folder / "calibration")
     return folder / "calibration"
 
 
