@@ -52,6 +52,12 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     stays = [
         not any(_rival(item, good[j]) for j in np.flatnonzero(meet)) for item, meet in zip(good, meets, strict=True)
     ]
+    if not scene.sides:
+        # A print or glint must not outrank the object it lies on.
+        for i, item in enumerate(good):
+            on = [j for j in np.flatnonzero(meets[i]).tolist() if good[j].area > 4.0 * item.area]
+            if stays[i] and any(shared(item, good[j]) > 0.5 for j in on):
+                stays[i] = _lies_on_table(scene, item, [])
     good = [item for item, stay in zip(good, stays, strict=True) if stay]
     meets = meets[stays][:, stays]
 
