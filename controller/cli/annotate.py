@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
+import numpy as np
 import typer
 
 from controller.cli.classes import ClassesFolder
@@ -14,11 +17,12 @@ from controller.cli.looking import Looking
 from controller.cli.output import stdout
 from controller.domain import Detection, Shape
 from controller.errors import InputError
-from controller.vision.classes.store import load_classes
+from controller.vision.classes.store import checked_name, load_classes
 from controller.vision.classes.taught import Taught
 from controller.vision.read import read_image
 
 FILE = "annotations.json"
+_CORRECTION = re.compile(r"(.+):(\d+)=(.*)")
 _FLAGS = ("hole", "touching", "cut_by_border")
 
 
@@ -26,15 +30,24 @@ def annotate(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of pictures.")],
     recipe: Annotated[str, typer.Option(metavar="precise|FILE", help="How to look.")] = "precise",
     classes: ClassesFolder = None,
+    corrections: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PICTURE:NUMBER=NAME", help="Correct one object; an empty NAME takes it out."),
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the pictures with every object's number and name.")
+    ] = None,
     again: Annotated[bool, typer.Option("--again", help="Propose anew also where annotations exist.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")] = False,
 ) -> None:
     """Propose annotations for the pictures of a folder and write them into its annotations.json.
 
-    Example: controller annotate photos
+    Examples: controller annotate photos --save look | controller annotate photos --set nut_3.png:2=washer
+    --set nut_4.png:1=
 
-    Correct the file by hand; what stands there is never changed by a second call, only new pictures are added, unless
-    with --again. With --classes, taught names take the place of the shapes' names.
+    Look the saved pictures over and correct by number, or edit the file: `class` is the shape, `label` what you call
+    it; `train` learns labels, `evaluate --images` compares shapes. What stands there is never changed by a second
+    call, only new pictures are added, unless with --again. With --classes, taught names become labels.
     """
     files = picture_files([folder])
     path = folder / FILE
@@ -45,6 +58,10 @@ def annotate(
         content["classes"] = list(dict.fromkeys([*content["classes"], *taught.classifier.names]))
     looking = Looking(recipe)
     added = 0
+    if corrections:
+        # Nothing new is proposed while the numbers of old proposals are meant.
+        _correct(content["images"], corrections)
+        files = []
     for file in files:
         if file.name in known and not again:
             continue
@@ -56,13 +73,66 @@ def annotate(
         known[file.name] = {"file": file.name, "size": [width, height], "n": len(objects), "objects": objects}
         added += len(objects)
     content["images"] = [known[name] for name in sorted(known)]
+    if save is not None:
+        _save(folder, content["images"], save)
     part = path.with_name(FILE + ".part")
     part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     part.replace(path)
     if as_json:
-        print(json.dumps({"file": str(path), "images": len(known), "proposed": added}))
+        corrected = len(corrections or [])
+        print(json.dumps({"file": str(path), "images": len(known), "proposed": added, "corrected": corrected}))
+    elif corrections:
+        stdout().print(f"{len(corrections)} corrected in {path}")
     else:
         stdout().print(f"{added} objects proposed; look them over in {path}")
+
+
+def _correct(entries: list[dict[str, Any]], corrections: list[str]) -> None:
+    """Change or take out single objects, all or none.
+
+    Raises:
+        InputError: A correction names a picture or an object that is not there.
+    """
+    known = {entry["file"]: entry for entry in entries}
+    out: list[tuple[dict[str, Any], dict[str, Any]]] = []
+    for text in corrections:
+        found = _CORRECTION.fullmatch(text)
+        if not found:
+            raise InputError(f"{text!r} is no correction", "write it as picture.png:2=name")
+        name, number, said = found[1], int(found[2]), found[3].strip()
+        entry = known.get(name)
+        if entry is None:
+            raise InputError(f"no annotated picture {name!r}", f"there are {', '.join(sorted(known)[:5])}, ...")
+        if not 1 <= number <= len(entry["objects"]):
+            raise InputError(f"{name} has {len(entry['objects'])} objects, not {number}", "see --save for the numbers")
+        thing = entry["objects"][number - 1]
+        if not said:
+            out.append((entry, thing))
+        elif said in set(Shape):
+            thing["class"] = said
+            thing.pop("label", None)
+        else:
+            thing["label"] = checked_name(said)
+    for entry, thing in out:
+        entry["objects"] = [other for other in entry["objects"] if other is not thing]
+        entry["n"] = len(entry["objects"])
+
+
+def _save(folder: Path, entries: list[dict[str, Any]], save: Path) -> None:
+    """Pictures with every annotated object's box, number and name."""
+    save.mkdir(parents=True, exist_ok=True)
+    for entry in entries:
+        image = read_image(folder / Path(entry["file"]).name)
+        grow = max(1, round(900 / image.shape[1]))
+        picture = np.asarray(cv2.resize(image, None, fx=grow, fy=grow, interpolation=cv2.INTER_CUBIC), np.uint8)
+        for number, thing in enumerate(entry["objects"], 1):
+            x, y, w, h = (round(grow * float(v)) for v in thing["bbox_px"])
+            cv2.rectangle(picture, (x, y), (x + w, y + h), (0, 159, 230), 2, cv2.LINE_AA)
+            text, at = f"{number} {thing.get('label', thing['class'])}", (x, max(16, y - 6))
+            cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (30, 30, 30), 4, cv2.LINE_AA)
+            cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (250, 250, 250), 1, cv2.LINE_AA)
+        if not cv2.imwrite(str(save / f"{Path(entry['file']).stem}.png"), picture):
+            raise InputError(f"{save} cannot be written", "name another folder with --save")
 
 
 def read_annotations(path: Path) -> dict[str, Any]:
@@ -94,13 +164,15 @@ def _empty() -> dict[str, Any]:
 
 def _object(item: Detection) -> dict[str, Any]:
     thing: dict[str, Any] = {
-        "class": item.label or str(item.shape),
+        "class": str(item.shape),
         "centre_px": [round(v, 1) for v in item.center_px],
         "bbox_px": [round(v) for v in item.bbox_px],
         "area_px": round(item.area_px, 1),
         "min_rect_px": [round(v, 1) for v in item.size_px],
         "outline_px": [[round(float(x), 1), round(float(y), 1)] for x, y in item.outline_px],
     }
+    if item.label and item.label != str(item.shape):
+        thing["label"] = item.label
     if item.colour is not None:
         thing["colour"] = item.colour
     return thing | {flag: True for flag in _FLAGS if flag in item.flags}

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -149,7 +150,8 @@ def confusion_table(confusion: Mapping[str, Counter[str]]) -> Table:
 
 
 def _entry(item: TaughtClass) -> dict[str, str | int]:
-    colour, _ = name_of(item.views[:, block("colour")].mean(axis=0))
+    mean = item.views[:, block("colour")].mean(axis=0)
+    colour = name_of(mean)[0] if np.isfinite(mean).all() else "any"
     return {
         "class": item.name,
         "views": len(item.views),

@@ -21,7 +21,10 @@ from controller.domain import CellCalibration, Detection, Frame, LocatedObject
 from controller.errors import InputError
 from controller.localization.locate import locate
 from controller.vision.annotate import annotate, annotate_paper
+from controller.vision.classes.store import load_classes
+from controller.vision.classes.taught import Taught
 from controller.vision.detect import detect as find
+from controller.vision.models.network import network
 from controller.vision.read import read_image
 from controller.vision.recipe import Recipe, load_recipe
 from controller.vision.report import detection_json
@@ -36,6 +39,9 @@ def detect(
     table: Annotated[Path | None, typer.Option(metavar="FILE", help="Table, from `calibrate table --out`.")] = None,
     height_mm: Annotated[float, typer.Option(min=0.0, max=500.0, help="Height of the parts.")] = 20.0,
     background: Annotated[Path | None, typer.Option(metavar="IMAGE", help="Picture of the empty table.")] = None,
+    classes: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Name parts by the taught classes of DIR; see `teach`.")
+    ] = None,
     save: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write annotated pictures into DIR, and below it one after every stage."),
@@ -48,6 +54,12 @@ def detect(
     """
     how = load_recipe(recipe)
     calibration = _calibration(camera, table)
+    if how.model is not None:
+        # What is wrong with it is no fault of a picture.
+        network(how.model)
+    taught = Taught(load_classes(classes)) if classes is not None else None
+    if taught is not None and not taught.classes:
+        raise InputError(f"{classes} holds no taught classes", "teach some: controller teach NAME ... --classes DIR")
     empty = read_image(background) if background is not None else None
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
@@ -60,7 +72,7 @@ def detect(
         try:
             frame = Frame(index, 0.0, read_image(path), str(path))
             trace: dict[str, NDArray[np.generic]] | None = None if save is None else {}
-            result, detections, located = _one(frame, recipe, how, calibration, height_mm, empty, trace)
+            result, detections, located = _one(frame, recipe, how, calibration, height_mm, empty, taught, trace)
         except InputError as error:
             failed += 1
             if as_json:
@@ -106,6 +118,7 @@ def _one(
     calibration: CellCalibration | None,
     height_mm: float,
     background: NDArray[np.uint8] | None,
+    taught: Taught | None,
     trace: dict[str, NDArray[np.generic]] | None,
 ) -> tuple[dict[str, Any], tuple[Detection, ...], tuple[LocatedObject, ...]]:
     plane = None
@@ -119,10 +132,11 @@ def _one(
         plane = calibration.plane(height_mm / 2)
     if background is not None and background.shape != frame.image.shape:
         raise InputError(f"{frame.source} and the background differ in size", "take both with the same camera")
-    detected = find(frame, recipe, plane=plane, background=background, trace=trace)
+    detected = find(frame, recipe, plane=plane, background=background, classes=taught, trace=trace)
     located: tuple[LocatedObject, ...] = ()
     if calibration is not None:
-        located = locate(detected.detections, calibration, lambda _: height_mm).objects
+        heights = taught.heights if taught is not None else {}
+        located = locate(detected.detections, calibration, lambda item: heights.get(item.label, height_mm)).objects
     return detection_json(frame.source, frame, name, detected, located), detected.detections, located
 
 

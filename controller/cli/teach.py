@@ -18,8 +18,10 @@ from controller.cli.output import stderr, stdout
 from controller.cli.teach_sources import Shown, from_camera, from_pictures, from_simulation
 from controller.config.cell import load_cell
 from controller.errors import InputError
+from controller.vision.classes.drawn import drawn_class
 from controller.vision.classes.store import MOST_VIEWS, TaughtClass, checked_name, load_classes, save_class
 from controller.vision.classes.taught import Admission, admit
+from controller.vision.drawings.outline import read_drawing
 
 
 def teach(
@@ -31,6 +33,9 @@ def teach(
     camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Lens, from `calibrate camera --out`.")] = None,
     table: Annotated[Path | None, typer.Option(metavar="FILE", help="Table, from `calibrate table --out`.")] = None,
     height_mm: Annotated[float, typer.Option(min=0.0, max=500.0, help="Height of the parts.")] = 20.0,
+    drawing: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Learn it from a DXF or SVG outline instead; say its height.")
+    ] = None,
     faces: Annotated[int, typer.Option(min=1, max=6, help="How many different sides of it are shown.")] = 1,
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="The cell, to show it to its camera.")] = None,
     sim: Annotated[bool, typer.Option("--sim", help="Show one of the configuration's simulated_kinds.")] = False,
@@ -43,7 +48,8 @@ def teach(
     """Teach a class of parts from 5 to 30 views: nothing but it may lie in the pictures, one or more of it in each.
 
     Examples: controller teach "M8 nut" photos/nut*.png | controller teach "M8 nut" --config cell.toml |
-    controller teach "blue arrow" --sim --config sim_taught.toml
+    controller teach "blue arrow" --sim --config sim_taught.toml | controller teach bracket --drawing bracket.dxf
+    --height-mm 12
 
     Without pictures the cell's camera is used: lay the part, press Enter, lay it elsewhere; nothing moves. The class
     is let in only when cross-validation recognises it; a refused one leaves the known classes as they were. Sorting
@@ -54,8 +60,16 @@ def teach(
     known = load_classes(folder)
     say = stderr().print
     shown: Iterator[Shown]
-    if sim and images:
-        raise typer.BadParameter("--sim shows its own parts: leave the pictures out")
+    if bool(images) + sim + (drawing is not None) > 1:
+        raise typer.BadParameter("pictures, --sim and --drawing exclude one another")
+    if drawing is not None:
+        outline = read_drawing(drawing)
+        admission = admit(drawn_class(name, outline, height_mm, drawing.name), known, faces)
+        save_class(folder, admission.new)
+        long, short = outline.size
+        say(f"{long:.1f} x {short:.1f} x {height_mm:g} mm, {len(outline.holes)} holes")
+        _report(admission, folder, as_json)
+        return
     if sim:
         cell = load_cell(config or default_config())
         looking, shown = from_simulation(name, cell, level, seed, views, recipe, say)

@@ -128,7 +128,7 @@ def _examples(folder: Path, recipe: str) -> tuple[Examples, NDArray[np.uint8], i
             papers.append(np.array([[item.descriptors.extent, item.descriptors.compactness, relative]]))
             rows.append(values[k : k + 1])
             prints.append(tiles_of(surfaces.image, [item]))
-            labels.append(checked_name(thing["class"]))
+            labels.append(checked_name(thing.get("label", thing["class"])))
             pictures.append(entry["file"])
     stacked = np.concatenate(papers).astype(np.float32), np.concatenate(rows)
     return Examples(tuple(labels), tuple(pictures), *stacked), np.concatenate(prints), missed

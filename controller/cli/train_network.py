@@ -66,7 +66,7 @@ def learn_folder(folder: Path, recipe: str) -> tuple[tuple[str, ...], Crops, Cro
             near = [math.dist(item.center_px, thing["centre_px"]) / max(item.size_px) for item in detections]
             if near and min(near) <= _NEAR:
                 images[new].append(cut[int(np.argmin(near))])
-                said[new].append(str(thing["class"]))
+                said[new].append(str(thing.get("label", thing["class"])))
     names = tuple(sorted(set(said[0])))
     if len(names) < 2 or not images[1]:
         raise InputError(

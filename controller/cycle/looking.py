@@ -110,7 +110,7 @@ class Looker:
             Intruder: One is larger than any part.
         """
         config = self._rig.config
-        found = locate(detected.detections, self._rig.calibration, config.part_height)
+        found = locate(detected.detections, self._rig.calibration, self._rig.part_height)
         self._guard.check_things(found)
         return found, [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
 

@@ -100,3 +100,8 @@ class Rig:
     classes: Taught | None = None
     concerns: Callable[[], Mapping[str, str]] = field(default=dict)
     pick_proof: bool = True
+
+    def part_height(self, detection: Detection) -> float:
+        """Height of the part a detection shows, mm: a taught class's own, else the configuration's by its shape."""
+        known = self.classes.heights.get(detection.label) if self.classes is not None else None
+        return self.config.part_height(detection) if known is None else known

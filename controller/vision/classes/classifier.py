@@ -60,7 +60,9 @@ class Classifier:
         self._owner = self._owner.astype(np.intp)
         raw = np.concatenate(list(views.values()) or [np.empty((0, LENGTH), np.float32)])
         self._scale = _scale(list(views.values()))
-        self._views = raw * self._scale
+        # What a view says nothing of counts neither for nor against.
+        self._says = np.isfinite(raw)
+        self._views = np.where(self._says, raw, np.float32(0.0)) * self._scale
         self.reach = np.array([self._reach(k) for k in range(len(self.names))])
 
     def verdicts(self, values: Floats32) -> list[Verdict | None]:
@@ -102,7 +104,8 @@ class Classifier:
 
     def _to_classes(self, scaled: Floats32, own: NDArray[np.intp] | None) -> NDArray[np.float64]:
         """(m, classes): distance to the nearest view of each class; `own` are rows to leave out."""
-        squared = (scaled**2).sum(axis=1)[:, None] + (self._views**2).sum(axis=1) - 2.0 * scaled @ self._views.T
+        squared = (scaled**2) @ self._says.T.astype(np.float32) + (self._views**2).sum(axis=1)
+        squared -= 2.0 * scaled @ self._views.T
         distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
         if own is not None:
             distance[np.arange(len(own)), own] = np.inf
@@ -120,8 +123,12 @@ class Classifier:
 def _scale(classes: Sequence[Floats32]) -> Floats32:
     """(LENGTH,) factors that turn a difference of figures into a share of the distance."""
     scale = np.empty(LENGTH, np.float32)
+    pooled = np.zeros(LENGTH)
     rest = [views - np.median(views, axis=0) for views in classes if len(views) > 1]
-    pooled = np.sqrt(np.mean(np.concatenate(rest) ** 2, axis=0)) if rest else np.zeros(LENGTH)
+    if rest:
+        squares = np.concatenate(rest) ** 2
+        count = np.isfinite(squares).sum(axis=0)
+        pooled = np.sqrt(np.nansum(squares, axis=0) / np.maximum(count, 1))
     for name, length in BLOCKS.items():
         at = block(name)
         spread = np.sqrt(pooled[at] ** 2 + FLOORS[name] ** 2)
@@ -131,4 +138,4 @@ def _scale(classes: Sequence[Floats32]) -> Floats32:
 
 def scaled_by_noise(views: Floats32) -> Floats32:
     """Views (n, LENGTH) in units in which noise and light alone make distances of about 1 to 4."""
-    return np.asarray(views * _scale([]), np.float32)
+    return np.asarray(np.nan_to_num(views) * _scale([]), np.float32)

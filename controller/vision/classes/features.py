@@ -40,6 +40,8 @@ BLOCKS: Mapping[str, int] = {
 }
 """Parts of the vector in order, and their lengths."""
 LENGTH = sum(BLOCKS.values())
+OPEN_BLOCKS = ("colour", "texture", "print")
+"""What a drawing says nothing of: not a number in the views of a class that was taught by one."""
 
 
 def block(name: str) -> slice:

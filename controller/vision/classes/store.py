@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 
 from controller.config.loader import StrictModel
 from controller.errors import InputError
-from controller.vision.classes.features import LENGTH, VERSION
+from controller.vision.classes.features import LENGTH, OPEN_BLOCKS, VERSION, block
 from controller.vision.classes.markings import SIDE
 
 Floats32 = NDArray[np.float32]
@@ -38,6 +38,7 @@ class _Record(StrictModel):
     name: str
     features: int
     units: str = Field(pattern="^(px|mm)$")
+    height_mm: float | None = Field(None, gt=0.0, le=500.0)
     views: int = Field(ge=1, le=MOST_VIEWS)
     pictures: tuple[str, ...]
     data: str
@@ -54,6 +55,7 @@ class TaughtClass:
         views: ndarray of shape (n, LENGTH), dtype float32.
         pictures: Where each view came from.
         prints: ndarray of shape (n, markings.SIDE, markings.SIDE), dtype uint8: what is on each view's top.
+        height_mm: Height of the parts, where the class says it; else the configuration does by their shape.
     """
 
     name: str
@@ -61,6 +63,7 @@ class TaughtClass:
     views: Floats32
     pictures: tuple[str, ...]
     prints: NDArray[np.uint8]
+    height_mm: float | None = None
 
     @property
     def digest(self) -> str:
@@ -96,6 +99,7 @@ def save_class(folder: Path, taught: TaughtClass) -> Path:
         name=taught.name,
         features=VERSION,
         units=taught.units,
+        height_mm=taught.height_mm,
         views=len(taught.views),
         pictures=taught.pictures,
         data=f"{stem}.{sha256[:12]}.npz",
@@ -143,11 +147,19 @@ def load_class(path: Path) -> TaughtClass:
             views, prints = np.asarray(arrays["views"], np.float32), np.asarray(arrays["prints"])
     except Exception as error:  # numpy lets through whatever its readers of archives and headers stumble over
         raise InputError(f"{file} is damaged ({error})", again) from error
-    if views.shape != (record.views, LENGTH) or not np.isfinite(views).all():
+    if views.shape != (record.views, LENGTH) or not _sound(views):
         raise InputError(f"{file} holds {views.shape} figures, not ({record.views}, {LENGTH}) finite ones", again)
     if prints.shape != (record.views, SIDE, SIDE) or prints.dtype != np.uint8:
         raise InputError(f"{file} holds pictures {prints.shape}, not ({record.views}, {SIDE}, {SIDE})", again)
-    return TaughtClass(record.name, record.units, views, record.pictures, prints)
+    return TaughtClass(record.name, record.units, views, record.pictures, prints, record.height_mm)
+
+
+def _sound(views: Floats32) -> bool:
+    """Whether views (n, LENGTH) are numbers, but for whole blocks that a drawing leaves open."""
+    said = np.ones(LENGTH, bool)
+    for name in OPEN_BLOCKS:
+        said[block(name)] = not np.isnan(views[:, block(name)]).all()
+    return bool(np.isfinite(views[:, said]).all())
 
 
 def load_classes(folder: Path) -> tuple[TaughtClass, ...]:
@@ -179,7 +191,7 @@ def remove_class(folder: Path, name: str) -> None:
 
 def digest_of(classes: tuple[TaughtClass, ...]) -> str:
     """Hash of a set of classes, for the ledger."""
-    said = json.dumps([[item.name, item.units, item.digest] for item in classes])
+    said = json.dumps([[item.name, item.units, item.height_mm, item.digest] for item in classes])
     return hashlib.sha256(said.encode()).hexdigest()[:16]
 
 

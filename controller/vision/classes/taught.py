@@ -45,6 +45,9 @@ class Taught:
     Args:
         classes: All in the same units.
 
+    Attributes:
+        heights: Of the classes that say it, mm.
+
     Raises:
         InputError: Some were taught in mm and some in px.
     """
@@ -58,6 +61,7 @@ class Taught:
         self.units = classes[0].units if classes else "px"
         self.digest = digest_of(classes)
         self.classifier = Classifier({item.name: item.views for item in classes})
+        self.heights = {item.name: item.height_mm for item in classes if item.height_mm is not None}
         self._prints = {item.name: item.prints for item in classes}
         self._twins = self.classifier.twins() if len(classes) > 1 else {}
         self._known: dict[str, tuple[Marking, ...]] = {}
@@ -208,9 +212,12 @@ def _refuse_known(new: TaughtClass, kept: tuple[TaughtClass, ...]) -> None:
     for verdict, print_ in zip(known_by_now.classifier.verdicts(new.views), own.markings(new.name), strict=True):
         if verdict is None or verdict.name is None:
             continue
-        printed = own.is_marked(new.name) or known_by_now.is_marked(verdict.name)
-        if not printed or best_likeness(print_, known_by_now.markings(verdict.name)[:_COMPARED]) >= _SAME:
-            said[verdict.name] += 1
+        if own.is_marked(new.name) or known_by_now.is_marked(verdict.name):
+            to_known = best_likeness(print_, known_by_now.markings(verdict.name)[:_COMPARED])
+            others = [one for one in own.markings(new.name)[: _COMPARED + 1] if one is not print_]
+            if to_known < _SAME or best_likeness(print_, others) >= to_known + _CLEARLY:
+                continue
+        said[verdict.name] += 1
     if said and said.most_common(1)[0][1] > 0.5 * len(new.views):
         known, count = said.most_common(1)[0]
         raise InputError(

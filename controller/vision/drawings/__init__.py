@@ -1,0 +1,1 @@
+"""Outlines of parts from drawings: DXF and SVG files, in millimetres."""
