@@ -61,8 +61,11 @@ class Batch:
 
     def geometry(self) -> tuple[Floats, Floats]:
         """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
-        turn = self.base + np.where(self.round_[:, None], 0.0, np.take_along_axis(self.q, self.turn_of, axis=1))
-        return np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.take_along_axis(self.q, self.size_of, axis=1)
+        rows = np.arange(len(self.q))[:, None]
+        turn = self.base + np.where(self.round_[:, None], 0.0, self.q[rows, self.turn_of])
+        normals = np.empty((*turn.shape, 2))
+        normals[..., 0], normals[..., 1] = np.cos(turn), np.sin(turn)
+        return normals, self.q[rows, self.size_of]
 
     def by_family(self) -> list[tuple[Family, NDArray[np.intp], Floats]]:
         """The outlines of each family: which rows they are, and their own parameters (K, P)."""

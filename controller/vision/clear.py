@@ -94,7 +94,7 @@ def _stayed(item: Judged, factor: int) -> bool:
 def _alone(strength: Floats32, level: float, smallest: float) -> list[Region]:
     """Convex regions above `level` that do not reach the image's rim."""
     height, width = strength.shape
-    mask = np.asarray(cv2.threshold(strength, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8)
+    mask = np.asarray(cv2.threshold(strength, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
     for contour in contours:

@@ -227,8 +227,9 @@ def _models(kind: Rows) -> list[tuple[Rows, Model]]:
 
 def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, Floats32]:
     """Distance (R, M) of each ray's nearest edge from polygons, its strength (R, M), derivatives (R, M, 8)."""
-    turn = np.take_along_axis(q, _TURN_OF[kind], axis=1) + _NORMALS[kind]
-    reach = np.take_along_axis(q, _SIZE_OF[kind], axis=1)
+    where = np.arange(len(q))[:, None]
+    turn = q[where, _TURN_OF[kind]] + _NORMALS[kind]
+    reach = q[where, _SIZE_OF[kind]]
     lines = np.empty((len(q), _SIDES, 3), np.float32)
     lines[..., 0], lines[..., 1] = np.cos(turn), np.sin(turn)
     lines[..., 2] = -(reach + lines[..., 0] * q[:, :1] + lines[..., 1] * q[:, 1:2])
@@ -236,7 +237,6 @@ def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, 
     distance, strength, chosen = _nearest(apart.max(axis=1), edges)
     own = apart if chosen is None else np.take_along_axis(apart, chosen[:, None], axis=2)
     side = own.argmax(axis=1)
-    where = np.arange(len(q))[:, None]
     normal = lines[where, side, :2]
     points = edges.points if chosen is None else np.take_along_axis(edges.points, chosen[:, None], axis=2)
     jacobian = np.empty((*side.shape, _PADDED), np.float32)

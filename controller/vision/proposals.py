@@ -150,7 +150,7 @@ def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unk
 
 def _zones(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
     """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
-    flat = 1 - _above(edges, _ZONE * typical)
+    flat = cv2.bitwise_not(_above(edges, _ZONE * typical))
     contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     # The fourth entry is the parent: holes have one, outer boundaries none.
     outer = [
@@ -185,8 +185,8 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
 
 
 def _above(image: Floats32, level: float) -> Mask:
-    """1 where an image exceeds a level, else 0."""
-    return np.asarray(cv2.threshold(image, level, 1.0, cv2.THRESH_BINARY)[1], np.uint8)
+    """255 where an image exceeds a level, else 0."""
+    return np.asarray(cv2.threshold(image, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
 
 
 def _unknown(mask: Mask, unknown: Unknown) -> Mask | None:
@@ -195,7 +195,7 @@ def _unknown(mask: Mask, unknown: Unknown) -> Mask | None:
     kept = unknown(contours)
     if not kept or len(kept) == len(contours):
         return mask if kept else None
-    return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (1,), cv2.FILLED), np.uint8)
+    return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (255,), cv2.FILLED), np.uint8)
 
 
 def _contours(

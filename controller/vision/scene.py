@@ -196,6 +196,8 @@ def overlap(a: Floats, b: Floats) -> float:
         # OpenCV finds nothing in common between outlines that nearly coincide; points of the smaller one tell.
         small, large = (pa, pb) if areas[0] <= areas[1] else (pb, pa)
         middle = small.mean(axis=0)
+        if cv2.pointPolygonTest(large, (float(middle[0]), float(middle[1])), False) <= 0.0:
+            return 0.0
         inner = np.concatenate([middle + share * (small - middle) for share in (0.3, 0.6, 0.9)])
         inside = [cv2.pointPolygonTest(large, (float(x), float(y)), False) > 0.0 for x, y in inner]
         return float(np.mean(inside)) if np.mean(inside) > 0.1 else 0.0
