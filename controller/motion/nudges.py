@@ -31,6 +31,7 @@ SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a p
 _INTO = 0.8  # cosine between such a push and the way to a neighbour: 45 deg into two of them still parts them
 _COST_INTO = 20.0
 _LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
+_TURNING_TRAVEL = 20.0  # mm after which a part of up to 50 mm lies with a side against the box
 _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
 # What makes one push better than another that frees the target as well, in mm of travel.
 _COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
@@ -197,8 +198,11 @@ class _Scene:
         room = grasps.MIN_CLEARANCE + moved.sigma
         most = _free_travel(hull, ahead, left, along, beside)
         gap = GAP + moved.sigma
+        rim = _rim(hull)
         for aside in _ASIDE:
-            middle = back - gap - deep
+            # The box meets what of the rim lies in its way, which need not be the rearmost corner.
+            met = (rim @ ahead)[np.abs(rim @ left - aside) < wide + room]
+            middle = float(met.min(initial=0.0)) - gap - deep
             lane = np.abs(beside - aside) < wide + room
             if (lane & (np.abs(along - middle) < deep + room)).any():
                 continue
@@ -219,6 +223,8 @@ class _Scene:
         turns = moved is self.target and not self.can_be_taken(moved, np.empty((0, 2)))
         gap = GAP + moved.sigma
         for travel in TRAVELS:
+            if turns and travel < _TURNING_TRAVEL:
+                continue
             if travel > push.travel:
                 return None
             x, y = np.array(moved.center) + travel * ahead
@@ -267,13 +273,18 @@ def _free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: A
     if not lane.any():
         return math.inf
     # The front of a hull is its farthest point beside a lane of twice BUMP about each obstacle.
-    closed = np.vstack([hull, hull[:1]])
-    share = np.linspace(0.0, 1.0, 9)[:, None, None]
-    edge = (closed[:-1] * (1.0 - share) + closed[1:] * share).reshape(-1, 2)
+    edge = _rim(hull)
     gaps = np.abs((edge @ left)[None] - beside[lane][:, None])
     front = np.where(gaps < 2.0 * BUMP, (edge @ ahead)[None], -math.inf).max(axis=1)
     front = np.where(np.isfinite(front), front, -reach)
     return float((along[lane] - front).min()) - BUMP
+
+
+def _rim(hull: Array) -> Array:
+    """Points (N, 2) along a hull's sides, its corners among them."""
+    closed = np.vstack([hull, hull[:1]])
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    return np.asarray((closed[:-1] * (1.0 - share) + closed[1:] * share).reshape(-1, 2))
 
 
 def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
