@@ -31,7 +31,8 @@ SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a p
 _INTO = 0.8  # cosine between such a push and the way to a neighbour: 45 deg into two of them still parts them
 _COST_INTO = 20.0
 _LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
-_TURNING_TRAVEL = 20.0  # mm after which a part of up to 50 mm lies with a side against the box
+_TURNING_TRAVEL = 30.0  # mm after which a part of up to 50 mm lies with a side against the box
+_LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the middle
 _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
 # What makes one push better than another that frees the target as well, in mm of travel.
 _COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
@@ -48,6 +49,7 @@ class Push:
         by: (dx, dy) that the gripper goes, mm.
         direction: Closing direction of the jaws, rad.
         travel: How far the part is expected to go, mm.
+        lever: How far beside the part's middle the gripper meets it, mm: what turns it.
         cost: The less the better.
     """
 
@@ -56,6 +58,7 @@ class Push:
     by: Point
     direction: float
     travel: float
+    lever: float
     cost: float
 
 
@@ -201,8 +204,11 @@ class _Scene:
         rim = _rim(hull)
         for aside in _ASIDE:
             # The box meets what of the rim lies in its way, which need not be the rearmost corner.
-            met = (rim @ ahead)[np.abs(rim @ left - aside) < wide + room]
-            middle = float(met.min(initial=0.0)) - gap - deep
+            met = rim[np.abs(rim @ left - aside) < wide + room]
+            if not len(met):
+                continue
+            first = met[np.argmin(met @ ahead)]
+            middle = float(first @ ahead) - gap - deep
             lane = np.abs(beside - aside) < wide + room
             if (lane & (np.abs(along - middle) < deep + room)).any():
                 continue
@@ -213,8 +219,9 @@ class _Scene:
             start = np.array(moved.center) + middle * ahead + aside * left
             cost = abs(aside) + (0.0 if broad else _COST_NARROW)
             yield Push(
-                moved, (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), direction, free, cost
-            )
+                moved, (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), direction, free,
+                float(abs(first @ left)), cost,
+            )  # fmt: skip
 
     def first_that_frees(self, push: Push, rest: Array) -> Push | None:
         """The push with the least travel after which the target can be taken past the `rest`, or None."""
@@ -234,7 +241,7 @@ class _Scene:
             if turns:
                 ends = ends[-1:]
             if all(self._freed(moved, end, rest) for end in ends):
-                cost = push.cost + travel
+                cost = push.cost + travel - (_LEVER_WORTH * push.lever if turns else 0.0)
                 if moved is not self.target:
                     cost += _COST_NEIGHBOUR
                     stays = [thing for thing in (self.target, *self.others) if thing is not moved]

@@ -103,7 +103,7 @@ class Table:
         arm.follow(plan.approach, plan.grasp.opening)
         report = arm.grip(proof.closing_target(plan.grasp, kind.gripper))
         self.found["picks"] += 1
-        if proof.refusal(report, plan.grasp) is None:
+        if proof.refusal(report, plan.grasp, plan.target.sigma) is None:
             self.found["held"] += 1
             arm.follow(plan.carry)
             arm.grip(plan.grasp.opening)
