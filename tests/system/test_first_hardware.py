@@ -65,6 +65,8 @@ def simulated(words: list[str], folder: Path) -> list[str]:
         case ["calibrate", "camera"]:
             # From pictures: the live guide, with simulated hands, is tried once in `test_the_whole_guide_in_one_go`.
             return [*words[:2], *sorted(glob.glob("views/*.png")), *words[4:]]
+        case ["calibrate", "table"]:
+            return [*words[:2], "sheet.png", *words[2:]]
         case ["calibrate", "check"]:
             return [*words, *SIM, "--points", "20"]
         case ["calibrate", "arm"] | ["home", _] | ["identify", _] | ["jog", _]:

@@ -17,7 +17,7 @@ def test_a_run_logs_records_under_the_service_manager_and_plain_lines_otherwise(
     tmp_path: Path, environment: dict[str, str], under_systemd: bool
 ) -> None:
     """The cell's warning about itself, before it finds that nothing is plugged in; no journal listens here."""
-    spare = '\n[[bins]]\nname = "spare"\ncenter_mm = [-190.0, 226.0]\n'
+    spare = '\n[[bins]]\nname = "spare"\ncenter_mm = [-290.0, 100.0]\n'
     (tmp_path / "cell.toml").write_text(shipped("cell.toml").read_text(encoding="utf-8") + spare, encoding="utf-8")
     with (tmp_path / "stderr").open("w") as stream:
         found = os.fstat(stream.fileno())
