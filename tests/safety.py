@@ -1,4 +1,4 @@
-"""Which test shows which requirement of SAFETY.md: `python -m tests.safety` prints it."""
+"""Which test shows which requirement of controller/SAFETY.md: `python -m tests.safety` prints it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def links(folder: Path = ROOT / "tests") -> dict[str, list[str]]:
 def main() -> None:
     """Print the requirements with their tests."""
     tests = links()
-    for number, words in requirements((ROOT / "SAFETY.md").read_text(encoding="utf-8")).items():
+    for number, words in requirements((ROOT / "controller" / "SAFETY.md").read_text(encoding="utf-8")).items():
         print(f"{number} {words}")
         for test in tests.get(number, ()):
             print(f"      {test}")

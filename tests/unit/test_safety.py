@@ -11,7 +11,7 @@ import pytest
 from controller.cli import execute
 from tests.safety import ROOT, links, marks, requirements
 
-DOCUMENT = (ROOT / "SAFETY.md").read_text(encoding="utf-8")
+DOCUMENT = (ROOT / "controller" / "SAFETY.md").read_text(encoding="utf-8")
 
 
 def test_no_requirement_is_without_a_test_and_no_mark_without_a_requirement() -> None:
