@@ -120,7 +120,10 @@ class Chooser:
             climb: See `Planner.plan_pick`.
         """
         outline = self._rig.config.work_area_outline(self._rig.calibration.T_base_table)
+        widest = self._rig.arm.description.gripper.opening[1]
         for thing in self.blocked:
+            if thing.size[1] > widest:
+                continue  # no push makes it fit between the jaws; it may not even be a thing
             target = self._book.choose(thing, self._rig.clock.now())
             if target.nudges >= NUDGES:
                 continue

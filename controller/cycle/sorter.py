@@ -270,7 +270,7 @@ class Sorter:
                 self._outcomes.conclude(target, Result.DROPPED, dropped)
         else:
             self.left -= 1
-            self._stock.placed(plan.bin)
+            self._stock.placed(plan.bin, target.located)
             rejected = plan.bin.name == self.rig.config.sorting.otherwise
             result = Result.REJECTED if rejected else Result.PLACED
             self._outcomes.conclude(target, result, f"in {plan.bin.name}")

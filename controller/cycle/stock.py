@@ -12,7 +12,8 @@ DROP_SPREAD = 0.18
 """Parts are let go at four places of a bin, this share of its size from the middle, so that none lands on the last."""
 
 ASKEW_MM = 45.0
-"""A part that fell into a bin may lean on a wall or stand on an edge: the highest of the usual ones reach this high."""
+"""A part that fell into a bin may lean on a wall or stand on an edge, as high as its longest side: this much at least,
+where nobody knows what lies there."""
 
 LAYER_MM = 8.0
 """What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
@@ -29,6 +30,7 @@ class Stock:
     def __init__(self, config: CellConfig, filled: Counter[str]) -> None:
         self._config = config
         self._filled = filled
+        self._longest: dict[str, float] = {}
 
     def bin_for(self, thing: LocatedObject) -> Bin | None:
         """The bin an object belongs in, or None when it is to lie or its bin is full."""
@@ -53,8 +55,9 @@ class Stock:
     def pile(self, bin_: Bin) -> float:
         """Height over the table that what lies in a bin already may reach, mm."""
         count = self._filled[bin_.name]
-        return 0.0 if count == 0 else ASKEW_MM + LAYER_MM * (count - 1)
+        return 0.0 if count == 0 else max(self._longest.get(bin_.name, 0.0), ASKEW_MM) + LAYER_MM * (count - 1)
 
-    def placed(self, bin_: Bin) -> None:
+    def placed(self, bin_: Bin, thing: LocatedObject) -> None:
         """One more part lies in a bin."""
         self._filled[bin_.name] += 1
+        self._longest[bin_.name] = max(self._longest.get(bin_.name, 0.0), thing.size[0])
