@@ -13,7 +13,7 @@ from controller.vision.background import Box, whiten
 from controller.vision.clear import clear_objects
 from controller.vision.local_map import local_maps
 from controller.vision.noise import pixel_noise, without_spikes
-from controller.vision.proposals import Region, level_strength, propose
+from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
 from controller.vision.thorough import open_objects
@@ -55,8 +55,9 @@ def search(
     if not scene.sides:
         scene, clear = clear_objects(scene, strength, settings.level, smallest)
         watch.lap("clear")
-    regions, maps = propose(white, strength, settings.level, smallest, settled(clear, scene).unexplained, box)
+    regions = propose(white, strength, settings.level, smallest, settled(clear, scene).unexplained, box)
     if trace is not None:
+        maps = {"strength": strength, "chroma": chroma(white, strength), "edges": edge_energy(white.difference)}
         for name, values in maps.items():
             trace[name] = np.clip(4.0 * values, 0.0, 255.0).astype(np.uint8)
     if mask is not None:

@@ -24,6 +24,8 @@ Unknown = Callable[[Sequence[Contour]], list[Contour]]
 """Of contours, shape (N, 1, 2), those that show nothing known already."""
 
 
+_SHORT = 8
+"""Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
 """Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
 _EDGE_HALF_WIDTH = 1.8
@@ -57,8 +59,8 @@ def level_strength(white: Whitened) -> Floats32:
 
 def propose(
     white: Whitened, strength: Floats32, level: float, smallest: float, unknown: Unknown, box: Box | None = None
-) -> tuple[list[Region], dict[str, Floats32]]:
-    """Regions worth a closer look, and the strength maps they came from.
+) -> list[Region]:
+    """Regions worth a closer look.
 
     Args:
         white: The whitened frame.
@@ -66,7 +68,7 @@ def propose(
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
         unknown: Leaves out contours of objects that are known already.
-        box: Rows and columns to look at; the maps are of this part only.
+        box: Rows and columns to look at.
     """
     if box is not None:
         corner = np.array([box[1].start, box[0].start], np.int32)
@@ -75,20 +77,27 @@ def propose(
             return [contour - corner for contour in unknown([contour + corner for contour in contours])]
 
         part = replace(white, difference=white.difference[box])
-        regions, maps = propose(part, strength[box], level, smallest, beyond)
-        return [replace(item, contour=item.contour + corner.astype(np.float32)) for item in regions], maps
-    chroma = _chroma(white, strength)
-    edges = _edge_energy(white.difference)
-    typical = float(np.median(edges[::4, ::4]))
+        regions = propose(part, strength[box], level, smallest, beyond)
+        return [replace(item, contour=item.contour + corner.astype(np.float32)) for item in regions]
     regions = []
-    for cue, image in (("level", strength), ("chroma", chroma)):
-        regions += _components(image, level, smallest, cue, unknown)
-    regions += _edge_regions(edges, typical, smallest, unknown)
-    regions += _zones(edges, typical, smallest, unknown)
-    return regions, {"strength": strength, "chroma": chroma, "edges": edges}
+    mask = _unknown(above(strength, level), smallest, unknown)
+    if mask is not None:
+        regions += _components(strength, mask, smallest, "level")
+        # What stands out by its chroma stands out by its level, which is never less.
+        tint = chroma(white, strength)
+        mask = _unknown(above(tint, level), smallest, unknown)
+        if mask is not None:
+            regions += _components(tint, mask, smallest, "chroma")
+    edges = edge_energy(white.difference)
+    typical = float(np.median(edges[::4, ::4]))
+    # Nothing but known objects inside weak edges: nothing but those inside strong ones.
+    if _unknown(above(edges, _ZONE * typical), 0.0, unknown) is not None:
+        regions += _edge_regions(edges, typical, smallest, unknown)
+        regions += _zones(edges, typical, smallest, unknown)
+    return regions
 
 
-def _chroma(white: Whitened, strength: Floats32) -> Floats32:
+def chroma(white: Whitened, strength: Floats32) -> Floats32:
     """Strength of the colour difference that no shadow can make.
 
     A shadow scales the table's colour, that is, it moves a pixel along that colour; what is perpendicular to it,
@@ -101,7 +110,7 @@ def _chroma(white: Whitened, strength: Floats32) -> Floats32:
     return np.asarray(cv2.sqrt(np.maximum(across, 0.0)), np.float32)
 
 
-def _edge_energy(difference: Floats32) -> Floats32:
+def edge_energy(difference: Floats32) -> Floats32:
     """Magnitudes of the whitened gradients, summed over the channels."""
     flat = difference.shape[0], difference.shape[1] * 3
     dx = cv2.Sobel(difference, cv2.CV_32F, 1, 0, ksize=3).reshape(flat)
@@ -110,14 +119,11 @@ def _edge_energy(difference: Floats32) -> Floats32:
     return np.asarray(cv2.transform(magnitude, np.ones((1, 3), np.float32)), np.float32)
 
 
-def _components(image: Floats32, level: float, smallest: float, cue: str, unknown: Unknown) -> list[Region]:
-    """Regions above `level`, and within each what lies above half and above a fifth of its own strength.
+def _components(image: Floats32, mask: Mask, smallest: float, cue: str) -> list[Region]:
+    """The regions of a mask, and within each what lies above half and above a fifth of its own strength.
 
     Half is where the edge of an evenly coloured object lies; a fifth holds objects with glints and dark sides.
     """
-    mask = _unknown(_above(image, level), unknown)
-    if mask is None:
-        return []
     count, labels = cv2.connectedComponents(mask, connectivity=4, ltype=cv2.CV_16U)
     flat = labels.ravel()
     inside = np.flatnonzero(flat)
@@ -138,7 +144,7 @@ def _components(image: Floats32, level: float, smallest: float, cue: str, unknow
 
 def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
     """Hulls of connected strong edges."""
-    mask = _above(edges, 3.5 * typical)
+    mask = above(edges, 3.5 * typical)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     found = []
     for region in _contours(mask, smallest, "edge", unknown=unknown):
@@ -150,16 +156,16 @@ def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unk
 
 def _zones(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
     """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
-    flat = cv2.bitwise_not(_above(edges, _ZONE * typical))
+    flat = cv2.bitwise_not(above(edges, _ZONE * typical))
     contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     # The fourth entry is the parent: holes have one, outer boundaries none.
     outer = [
         contour for contour, links in zip(contours, hierarchy[0] if contours else (), strict=True)
-        if links[3] < 0 and len(contour) >= 8
+        if links[3] < 0 and len(contour) >= _SHORT
     ]  # fmt: skip
     out = []
     for contour in unknown(outer):
-        area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
+        area = _filled(contour)
         if area < 0.25 * smallest or area > 0.3 * edges.size:
             continue
         hull = cv2.convexHull(contour)
@@ -184,18 +190,23 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     return np.asarray(hull + by * both / length, np.float32)
 
 
-def _above(image: Floats32, level: float) -> Mask:
+def above(image: Floats32, level: float) -> Mask:
     """255 where an image exceeds a level, else 0."""
     return np.asarray(cv2.threshold(image, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
 
 
-def _unknown(mask: Mask, unknown: Unknown) -> Mask | None:
-    """The components of a mask that are not known; None when there are none."""
+def _unknown(mask: Mask, smallest: float, unknown: Unknown) -> Mask | None:
+    """The components of a mask that are neither known nor too small; None when there are none."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    kept = unknown(contours)
+    kept = unknown([contour for contour in contours if len(contour) >= _SHORT and _filled(contour) >= smallest])
     if not kept or len(kept) == len(contours):
         return mask if kept else None
     return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (255,), cv2.FILLED), np.uint8)
+
+
+def _filled(contour: Contour) -> float:
+    """Area of what a contour holds, its own pixels included: the polygon through their centres misses half of them."""
+    return float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
 
 
 def _contours(
@@ -203,9 +214,8 @@ def _contours(
 ) -> list[Region]:
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
-    for contour in unknown([contour for contour in contours if len(contour) >= 8]):
-        # The polygon through pixel centres misses half a pixel all around.
-        area = float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
+    for contour in unknown([contour for contour in contours if len(contour) >= _SHORT]):
+        area = _filled(contour)
         if area < smallest:
             continue
         hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
