@@ -8,6 +8,7 @@ to the table, or taken from a picture of the empty table.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -19,8 +20,12 @@ Box = tuple[slice, slice]
 
 _SAMPLES = 1500
 """About how many pixels the polynomial and the covariance are fitted to: enough for 2 % of a standard deviation."""
+_COARSE = (19, 33)
+"""Rows and columns of the grid on which the polynomial is worked out."""
 _NOISE_FLOOR = 1.0
 """Smallest standard deviation (levels) believed: compression makes flat blocks that look free of noise."""
+_LEAST = np.eye(3) * _NOISE_FLOOR**2 / 3.0
+_UPRIGHT = 1e-6 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +55,11 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
     grid = slice(step // 2, None, step)
     reference = image if empty is None else image - empty
-    y, x = (np.arange(length, dtype=np.float64)[grid] / length - 0.5 for length in (height, width))
     samples = _columns(reference[grid, grid])
-    coefficients, weight = _robust_surface(samples, np.tile(x, len(y)), np.repeat(y, len(x)))
+    coefficients, weight = _robust_surface(samples, _sampled_terms(height, width, step))
     surface = _surface(coefficients, height, width)
     rest = samples - _columns(surface[grid, grid])
-    covariance = _robust_covariance(rest, weight) + np.eye(3) * _NOISE_FLOOR**2 / 3.0
+    covariance = _robust_covariance(rest, weight) + _LEAST
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     matrix = whitener.astype(np.float32)
     if box is None:
@@ -63,8 +67,9 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     else:
         out = np.zeros(image.shape, np.float32)
         out[box] = cv2.transform(cv2.subtract(reference[box], surface[box]), matrix)
-    colour = np.average(_columns(image[grid, grid]), axis=1, weights=weight + 1e-9)
-    return Whitened(out, whitener, np.asarray(colour, np.float64))
+    colours = samples if empty is None else _columns(image[grid, grid])
+    colour = colours @ (weight + np.float32(1e-6)) / (weight.sum() + 1e-6 * len(weight))
+    return Whitened(out, whitener, colour.astype(np.float64))
 
 
 _POWERS = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]
@@ -73,69 +78,91 @@ _TERMS = (1, 3, 6, 10)
 """How many terms polynomials of order 0, 1, ... have."""
 
 
-def _terms(x: Floats, y: Floats) -> Floats:
-    """The terms (10, N) of a cubic polynomial at N places."""
-    xs, ys = (np.stack([np.ones_like(v), v, v * v, v * v * v]) for v in (x, y))
-    return np.stack([xs[i] * ys[j] for i, j in _POWERS])
+def _terms(x: Floats, y: Floats) -> Floats32:
+    """The terms (10, N) of a cubic polynomial where N columns x and M rows y cross, row by row."""
+    across, down = np.tile(x, len(y)), np.repeat(y, len(x))
+    xs, ys = (np.stack([np.ones_like(v), v, v * v, v * v * v]) for v in (across, down))
+    return np.stack([xs[i] * ys[j] for i, j in _POWERS]).astype(np.float32)
 
 
-def _columns(values: Floats32) -> Floats:
+@cache
+def _coarse_terms() -> Floats32:
+    """The terms in the middles of the cells of a coarse grid."""
+    rows, columns = ((np.arange(n) + 0.5) / n - 0.5 for n in _COARSE)
+    return _terms(columns, rows)
+
+
+@lru_cache(maxsize=4)
+def _sampled_terms(height: int, width: int, step: int) -> Floats32:
+    """The terms at every `step`th pixel of an image."""
+    y, x = (np.arange(step // 2, length, step) / length - 0.5 for length in (height, width))
+    return _terms(x, y)
+
+
+def _columns(values: Floats32) -> Floats32:
     """Pixels (H, W, 3) as one row a channel, (3, H * W): rows are summed and sorted much faster than columns."""
-    return np.ascontiguousarray(values.reshape(-1, 3).T, np.float64)
+    return np.ascontiguousarray(values.reshape(-1, 3).T, np.float32)
 
 
-def _robust_surface(samples: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Polynomial of growing order through most samples (3, N); returns coefficients (T, 3) and final weights (N,)."""
+def _robust_surface(samples: Floats32, terms: Floats32) -> tuple[Floats, Floats32]:
+    """Polynomial of growing order through most samples (3, N); returns coefficients (T, 3) and final weights (N,).
+
+    Args:
+        samples: ndarray of shape (3, N), dtype float32, levels.
+        terms: ndarray of shape (10, N), dtype float32: the polynomial's terms at each.
+    """
     low, width = _shortest(samples)
     rest = samples - (low + 0.5 * width)[:, None]
-    weight = np.ones(samples.shape[1])
-    terms = _terms(x, y)
+    weight = np.ones(samples.shape[1], np.float32)
     coefficients = np.zeros((1, 3))
     for order in (1, 1, 1, 2, 2, 3, 3):
         scaled = rest / _scale(rest)[:, None]
         # Weights are Tukey's, zero at three standard deviations of the mean over the channels.
-        kept = 1.0 - np.minimum(np.einsum("cn,cn->n", scaled, scaled) / (9.0 * len(samples)), 1.0)
+        kept = 1.0 - np.minimum(_squares(scaled) / np.float32(9.0 * len(samples)), 1.0)
         weight = kept * kept
         basis = terms[: _TERMS[order]]
         weighted = basis * weight
         normal = weighted @ basis.T
         normal.flat[:: len(basis) + 1] += 1e-9 * len(weight)
-        coefficients = np.linalg.solve(normal, weighted @ samples.T)
-        rest = samples - coefficients.T @ basis
+        coefficients = np.linalg.solve(normal.astype(np.float64), weighted @ samples.T)
+        rest = samples - coefficients.T.astype(np.float32) @ basis
     return coefficients, weight
 
 
-def _scale(rest: Floats) -> Floats:
+def _squares(values: Floats32) -> Floats32:
+    """Sums (N,) of the squares of each column of (3, N)."""
+    return np.asarray(np.einsum("cn,cn->n", values, values), np.float32)
+
+
+def _scale(rest: Floats32) -> Floats32:
     """Robust standard deviation of each row, from its shortest interval that holds 45 % of the values.
 
     Unlike the median absolute deviation it is hardly inflated by objects that cover 40 % of the table.
     """
     _, width = _shortest(rest)
     # 45 % of a normal distribution lie within 0.598 standard deviations of the middle.
-    return np.asarray(np.maximum(width / (2.0 * 0.598), 1.0))
+    return np.asarray(np.maximum(width / np.float32(2.0 * 0.598), 1.0), np.float32)
 
 
-def _shortest(values: Floats) -> tuple[Floats, Floats]:
+def _shortest(values: Floats32) -> tuple[Floats32, Floats32]:
     """Start and width of the shortest interval with 45 % of the values, for each row."""
-    ordered = np.sort(values.astype(np.float32), axis=1)
+    ordered = np.sort(values, axis=1)
     count = max(1, int(0.45 * ordered.shape[1]))
     widths = ordered[:, count:] - ordered[:, :-count]
     best = widths.argmin(axis=1)
     rows = np.arange(len(ordered))
-    return ordered[rows, best].astype(np.float64), widths[rows, best].astype(np.float64)
+    return ordered[rows, best], widths[rows, best]
 
 
 def _surface(coefficients: Floats, height: int, width: int) -> Floats32:
     """The polynomial at every pixel, by way of a coarse grid: it is smooth."""
-    rows, cols = 19, 33
-    y, x = (np.arange(rows) + 0.5) / rows - 0.5, (np.arange(cols) + 0.5) / cols - 0.5
-    terms = _terms(np.tile(x, rows), np.repeat(y, cols))[: len(coefficients)]
-    grid = (terms.T @ coefficients).astype(np.float32).reshape(rows, cols, 3)
+    terms = _coarse_terms()[: len(coefficients)]
+    grid = (terms.T @ coefficients).astype(np.float32).reshape(*_COARSE, 3)
     # Bilinear resizing replicates the rim of half a cell; cubic surfaces bend little there.
     return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _robust_covariance(rest: Floats, weight: Floats) -> Floats:
+def _robust_covariance(rest: Floats32, weight: Floats32) -> Floats:
     """Covariance (3, 3) of what belongs to the table among rows (3, N), by three rounds of trimming at 3 sigma."""
     keep = weight > 0.0
     covariance = np.eye(3)
@@ -145,7 +172,6 @@ def _robust_covariance(rest: Floats, weight: Floats) -> Floats:
             break
         # 3-sigma trimming of a 3-D normal keeps 97 %; what is lost is far below the texture's variation.
         chosen = chosen - chosen.mean(axis=1, keepdims=True)
-        covariance = chosen @ chosen.T / (chosen.shape[1] - 1) + np.eye(3) * 1e-6
-        distance = np.einsum("cn,cn->n", np.linalg.inv(covariance) @ rest, rest)
-        keep = distance < 9.0 + 2.2
+        covariance = chosen @ chosen.T / (chosen.shape[1] - 1) + _UPRIGHT
+        keep = _squares(np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float32) @ rest) < 9.0 + 2.2
     return np.asarray(covariance)

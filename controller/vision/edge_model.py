@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,9 @@ from numpy.typing import NDArray
 from controller.vision.chunks import PARAMETERS, Batch, chunk_ends, clear_of_corners, side_distance
 from controller.vision.local_map import LocalMaps
 from controller.vision.profiles import CHUNKS, Floats32, Profiles, sample
+from controller.vision.robust import median, tukey
 
 Floats = NDArray[np.float64]
-Kind = TypeVar("Kind", np.float32, np.float64)
 
 _SLOPE = np.float32(0.2316419)
 _TAIL = np.array([0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429], np.float32)
@@ -281,18 +280,3 @@ def _agreement(stray: Floats, information: Floats, group: NDArray[np.intp]) -> F
     limit = 4.0 * np.maximum(1.4826 * median(apart, 1), 0.04)[:, None] + 3.0 / np.sqrt(np.maximum(information, 1e-9))
     # Not quite nothing: the surroundings of a chunk are still to be estimated.
     return np.asarray(np.maximum(tukey(apart / limit), 1e-4))
-
-
-def tukey(ratio: NDArray[Kind]) -> NDArray[Kind]:
-    """Tukey's weight of non-negative ratios, 1 at 0, 0 from 1 on."""
-    rest = 1.0 - np.minimum(ratio, 1.0) ** 2
-    return np.asarray(rest * rest)
-
-
-def median(values: NDArray[Kind], axis: int) -> NDArray[Kind]:
-    """Median along an axis; NumPy's own looks for NaN and takes several times as long on short rows."""
-    count = values.shape[axis]
-    middle = (count - 1) // 2, count // 2
-    ordered = np.partition(values, middle, axis=axis)
-    low, high = (ordered.take(i, axis=axis) for i in middle)
-    return np.asarray((low + high) * 0.5)

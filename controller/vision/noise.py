@@ -8,8 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.robust import median
+
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+_ROWS, _COLUMNS = 32, 80
+"""Where the noise is looked at: about so many places tell a standard deviation to 2 %."""
 
 
 def pixel_noise(image: Image) -> Floats:
@@ -17,16 +22,17 @@ def pixel_noise(image: Image) -> Floats:
     height, width = image.shape[:2]
     if width < 4:
         return np.eye(3)
-    rows = image[:: max(1, height // 40)]
-    step = max(1, width // 100)
-    at = np.arange(0, width - 2, step)
-    before, here, after = (rows[:, at + i].astype(np.float32) for i in range(3))
+    rows = image[:: max(1, height // _ROWS)]
+    step = max(1, width // _COLUMNS)
+    last = (width - 3) // step * step + 1
+    before, here, after = (
+        np.ascontiguousarray(rows[:, i : i + last : step].reshape(-1, 3).T, np.float32) for i in range(3)
+    )
     # The second difference is blind to slopes; its variance is 6 times the noise's.
-    second = (before - 2.0 * here + after).reshape(-1, 3)
-    # Rows are partitioned much faster than columns.
-    scale = np.maximum(1.4826 * np.median(np.abs(np.ascontiguousarray(second.T)), axis=1), 0.5)
-    kept = second[(np.abs(second) < 3.5 * scale).all(axis=1)].astype(np.float64)
-    covariance = kept.T @ kept / max(len(kept), 1) / 6.0
+    second = before - here - here + after
+    scale = np.maximum(1.4826 * median(np.abs(second), 1), 0.5)
+    kept = second[:, (np.abs(second) < 3.5 * scale[:, None]).all(axis=0)]
+    covariance = kept @ kept.T / (6.0 * max(kept.shape[1], 1))
     # Rounding alone has a variance of 1/12; compression hides noise in flat blocks.
     return np.asarray(covariance + np.eye(3) * 0.3)
 

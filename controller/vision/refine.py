@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.chunks import Batch, batch_of, chunk_middles, side_distance, unpad
-from controller.vision.edge_model import State, fit, look, median
+from controller.vision.edge_model import State, fit, look
 from controller.vision.local_map import LocalMaps
 from controller.vision.profiles import CHUNKS
+from controller.vision.robust import median
 from controller.vision.shapes import Family, area
 
 Floats = NDArray[np.float64]
