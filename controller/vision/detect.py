@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Descriptors, Detection, Frame, Shape
-from controller.geometry import PlaneMap, wrap
+from controller.geometry import PlaneMap
 from controller.vision.appearance.look import look, named
 from controller.vision.classes.taught import Taught
+from controller.vision.describe import Rings, described
 from controller.vision.models import naming
 from controller.vision.models.network import network
 from controller.vision.morphology import Component
 from controller.vision.precise import search
 from controller.vision.recipe import Ranges, Recipe
-from controller.vision.scene import Found
-from controller.vision.shapes import rotated
 from controller.vision.stages import classified, margin, run_stages
 from controller.vision.timing import Stopwatch
 
@@ -77,7 +76,7 @@ def detect(
         found = search(
             image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
         )
-        detections = [_detection(frame, item) for item in found]
+        detections = described(frame, found)
     if recipe.model is not None:
         detections = naming.named(frame, detections, network(recipe.model))
         watch.lap("model")
@@ -100,40 +99,6 @@ def _inside(region: NDArray[np.uint8], center: tuple[float, float]) -> bool:
     return 0 <= y < region.shape[0] and 0 <= x < region.shape[1] and bool(region[y, x])
 
 
-def _detection(frame: Frame, found: Found) -> Detection:
-    outline = counter_clockwise(found.outline)
-    face = outline if found.face is found.outline else counter_clockwise(found.face)
-    points = outline.astype(np.float32)
-    covered = polygon_area(outline)
-    (_, (w, h), _) = cv2.minAreaRect(points)
-    size = (max(w, h), min(w, h))
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    if found.diameter is not None:
-        size = (found.diameter, found.diameter)
-        covered *= _circle_area_factor(len(outline))
-    side = rotated(outline) - outline
-    perimeter = float(np.hypot(side[:, 0], side[:, 1]).sum())
-    sides = np.linalg.norm(face[:3] - rotated(face)[:3], axis=1)
-    box = high - low
-    difference = 0.0 if found.shape is Shape.CIRCLE else float(abs(sides[0] - sides[1]))
-    return Detection(
-        frame=frame,
-        shape=found.shape,
-        score=found.score,
-        outline_px=dense(outline),
-        center_px=(float(found.center[0]), float(found.center[1])),
-        size_px=(float(size[0]), float(size[1])),
-        angle=direction(found.shape, face),
-        area_px=covered,
-        bbox_px=(float(low[0]), float(low[1]), float(box[0]), float(box[1])),
-        descriptors=Descriptors(
-            float(box[0] * box[1]) / max(covered, 1e-9), perimeter**2 / (4.0 * math.pi * max(covered, 1e-9)), difference
-        ),
-        label=str(found.shape),
-        flags=found.flags,
-    )
-
-
 def _component(
     frame: Frame,
     item: Component,
@@ -152,7 +117,7 @@ def _component(
         frame=frame,
         shape=shape,
         score=margin(values, shape, ranges),
-        outline_px=counter_clockwise(outline),
+        outline_px=Rings([outline]).counter_clockwise().ring(0),
         center_px=item.centroid,
         # Boundary pixels are centres: half a pixel is missing on every side.
         size_px=(max(w, h) + 1.0, min(w, h) + 1.0),
@@ -163,55 +128,3 @@ def _component(
         label=str(shape),
         flags=frozenset({"cut_by_border"} if cut else ()),
     )
-
-
-def counter_clockwise(outline: Floats) -> Floats:
-    """The outline's points in counter-clockwise order as displayed (y down)."""
-    x, y = outline[:, 0], outline[:, 1]
-    doubled = float(np.sum(x * rotated(y) - rotated(x) * y))
-    return np.ascontiguousarray(outline[::-1] if doubled > 0.0 else outline)
-
-
-def dense(outline: Floats, least: int = 32) -> Floats:
-    """The outline with every side cut into equal pieces, corners kept, at least `least` points in all."""
-    if len(outline) >= least:
-        return outline
-    side = rotated(outline) - outline
-    length = np.linalg.norm(side, axis=1)
-    pieces = np.maximum(np.ceil(least * length / max(float(length.sum()), 1e-9)), 1).astype(int)
-    parts = [a + s * (np.arange(n) / n)[:, None] for a, s, n in zip(outline, side, pieces, strict=True)]
-    return np.concatenate(parts)
-
-
-def polygon_area(outline: Floats) -> float:
-    """Area of a simple polygon of shape (N, 2)."""
-    x, y = outline[:, 0], outline[:, 1]
-    return 0.5 * abs(float(np.sum(x * rotated(y) - rotated(x) * y)))
-
-
-def _circle_area_factor(corners: int) -> float:
-    """Area of a circle over that of the regular polygon with corners on it."""
-    turn = 2.0 * math.pi / corners
-    return turn / math.sin(turn)
-
-
-def direction(shape: Shape, outline: Floats) -> float | None:
-    """Direction of an outline, rad, counter-clockwise as displayed, by the convention of its shape."""
-    period = shape.period
-    if period is None:
-        return None
-    if shape is Shape.OTHER:
-        (_, (w, h), turn) = cv2.minAreaRect(outline.astype(np.float32))
-        return wrap(-math.radians(turn + (0.0 if w >= h else 90.0)), period)
-    sides = rotated(outline) - outline
-    lengths = np.linalg.norm(sides, axis=1)
-    angles = np.arctan2(-sides[:, 1], sides[:, 0])
-    if shape is Shape.RECTANGLE:
-        first = int(lengths[0] + lengths[2] < lengths[1] + lengths[3])
-        angles, lengths = angles[first::2], lengths[first::2]
-    elif shape is Shape.TRIANGLE and lengths.max() > 1.1 * lengths.min():
-        angles = angles[[int(lengths.argmax())]]
-        lengths = np.ones(1)
-    # The mean over the sides, each as long as it counts, modulo the period.
-    mean = np.angle(np.sum(lengths * np.exp(2j * math.pi * angles / period)))
-    return wrap(float(mean) * period / (2.0 * math.pi), period)
