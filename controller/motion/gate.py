@@ -28,6 +28,9 @@ BODY_MARGIN = 30.0  # mm that elbow and wrist keep from the table
 COLUMN = (60.0, 15.0)  # mm: radius kept clear about the waist, and how far over the shoulder it reaches
 WORK_REACH = 0.8  # share of its full stretch that an arm needs to work top-down
 WALL_MARGIN = 2.0  # mm between jaws and bin walls
+# mm: how far a bin may stand from where it is said to: laid out with a ruler (2 mm each way) against a sheet laid by
+# hand, whose turn of half a degree is 4 mm at the furthest bin of the shipped cells.
+BIN_ASTRAY = 5.0
 WALL = 4.0  # mm: thickness of a bin wall at most
 START_TOLERANCE = 0.1  # rad between measured pose and first sample
 LARGEST_OFFSET = 0.35  # rad a goal may lie ahead of its position
@@ -181,7 +184,7 @@ class Gate:
             flat = np.abs(way[low][..., :2] - np.array(bin_.center))
             half = np.array(bin_.size) / 2.0
             inside = _inside(flat, half)
-            box = _beside(way[low][..., :2] - np.array(bin_.center), half + WALL + WALL_MARGIN)
+            box = _beside(way[low][..., :2] - np.array(bin_.center), half + WALL + WALL_MARGIN + BIN_ASTRAY)
             bad = np.zeros(len(q), bool)
             bad[low] = ~(inside | box)
             # An arm stopped at a wall may leave it straight up, as far as it needs.
@@ -200,7 +203,7 @@ def _column_depth(c: Chain, arm: Array) -> Array:
 
 def _inside(flat: Array, half: Array) -> NDArray[np.bool_]:
     """Which of the tips (N, 4, 2), given by their distances from a bin's middle, lie clear of its walls inside."""
-    return np.asarray((flat <= half - WALL_MARGIN).all(axis=(1, 2)))
+    return np.asarray((flat <= half - WALL_MARGIN - BIN_ASTRAY).all(axis=(1, 2)))
 
 
 def _beside(quads: Array, half: Array) -> NDArray[np.bool_]:
