@@ -189,11 +189,14 @@ class Painter:
         at = self._projector.plane(np.eye(4), region)
         low, high = np.array(TABLE_LOW, np.float32), np.array(TABLE_HIGH, np.float32)
         pixels = (at - low) * np.float32(_TEXTURE_PER_MM) - np.float32(0.5)
+        top = cv2.remap(texture, pixels, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        rim = np.concatenate([at[0], at[-1], at[:, 0], at[:, -1]])
+        if ((rim > low) & (rim < high)).all() and self._projector.looks_down(region, 1).all():
+            return np.asarray(top, np.uint8)
         # Where the table ends is found on a finer grid, so that its edge is smooth.
         fine = self._projector.plane(np.eye(4), region, 2)
         inside = ((fine > low) & (fine < high)).all(axis=2) & self._projector.looks_down(region, 2)
         mask = cv2.resize(inside.astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)
-        top = cv2.remap(texture, pixels, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         blend(picture, np.asarray(top, np.uint8), np.asarray(mask, np.uint8), region)
         return picture
 

@@ -13,6 +13,10 @@ from sim_backends.painter_raster import Mask, Region
 from sim_backends.solids import Array
 
 _OVERSAMPLE = 2
+_ROUGH = 1.6  # standard deviation of the table's grain from pixel to pixel
+_SPECKS = 0.0005  # of the table's pixels
+_SPECK_REACH = 3
+_SPECK = 60.0 * np.outer(*2 * (cv2.getGaussianKernel(2 * _SPECK_REACH + 1, 0.8).astype(np.float32),))
 # OpenCV takes both coordinates from one map when the second is empty.
 NO_MAP = np.empty(0, np.float32)
 
@@ -139,16 +143,20 @@ def table_texture(seed: int, low: tuple[float, float], high: tuple[float, float]
     random = np.random.default_rng([seed, 4])
     width, height = round((high[0] - low[0]) * per_mm), round((high[1] - low[1]) * per_mm)
 
-    def smooth(shape: tuple[int, int], level: float) -> NDArray[np.float32]:
-        grain = cv2.resize(
-            random.standard_normal(shape).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC
-        )
-        return np.asarray(grain * level, np.float32)
+    def smooth(rows: int, columns: int, level: float) -> NDArray[np.float32]:
+        grain = random.standard_normal((rows, columns), np.float32) * np.float32(level)
+        return np.asarray(cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC), np.float32)
 
-    # Long fibres across the arm's reach, clouds of some centimetres, and single specks.
-    value = smooth((height // 2, max(4, width // 60)), 2.2) + smooth((max(4, height // 80), max(4, width // 80)), 2.0)
-    value += smooth((height, width), 1.6)
-    specks = random.random((height, width)) > 0.9995
-    value -= cv2.GaussianBlur(specks.astype(np.float32), (0, 0), 0.8) * 60.0
-    tint = np.array([196.0, 206.0, 212.0], np.float32)
-    return np.asarray(np.clip(tint * (1.0 + value[..., None] / 200.0), 0, 255), np.uint8)
+    # Long fibres across the arm's reach, clouds of some centimetres, and single specks; in hundredths of full white.
+    value = random.standard_normal((height, width), np.float32) * np.float32(_ROUGH)
+    cv2.add(value, smooth(height // 2, max(4, width // 60), 2.2), dst=value)
+    cv2.add(value, smooth(max(4, height // 80), max(4, width // 80), 2.0), dst=value)
+    specks = random.integers(0, value.size, random.poisson(_SPECKS * value.size))
+    for row, column in zip(*np.divmod(specks, width), strict=True):
+        # Cut where it reaches over the table's rim.
+        top, left = max(row - _SPECK_REACH, 0), max(column - _SPECK_REACH, 0)
+        patch = value[top : row + _SPECK_REACH + 1, left : column + _SPECK_REACH + 1]
+        y, x = top - row + _SPECK_REACH, left - column + _SPECK_REACH
+        patch -= _SPECK[y : y + patch.shape[0], x : x + patch.shape[1]]
+    channels = [cv2.convertScaleAbs(value, alpha=tint / 200.0, beta=tint) for tint in (196.0, 206.0, 212.0)]
+    return np.asarray(cv2.merge(channels), np.uint8)
