@@ -75,7 +75,7 @@ class BackendOptions:
         real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
         faults: Script of what goes wrong in the simulated cell.
         disturb: What disturbs the simulated cell, as a wish of `sim_backends.disturbances`.
-        watch_clock: Wraps the clock of real devices, for whoever watches that the cell makes progress.
+        watch_clock: Wraps the devices' clock, for whoever watches that the cell makes progress.
     """
 
     out: Path
@@ -106,7 +106,6 @@ class Devices:
         observers: Watchers a set needs for itself.
         script: Lets a script's faults happen, where one was given.
         disturbed: What has disturbed the cell so far: kind and s after the work began.
-        names: What stands for the serial numbers of simulated devices, by what they are.
         names: What stands for the serial numbers of simulated devices, by what they are.
         closers: Called in reverse order by `close`.
     """
@@ -258,6 +257,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
     bus.faults.set_rate(Fault.DROP, cell.imperfections.packet_loss)
+    clock = options.watch_clock(cell.clock)
     camera: Camera = cell.camera
     script = None
     if options.faults is not None:
@@ -268,12 +268,12 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         camera, script = faulty, FaultDirector(load_script(options.faults), cell.world, bus, faulty)
     if options.level is Level.DYNAMIC:
         # Pictures without noise may equal one another to the bit when nothing has moved.
-        camera = WatchedCamera(camera, cell.clock)
-    driver = DynamixelArm(arm, BusStream(bus), cell.clock)
+        camera = WatchedCamera(camera, clock)
+    driver = DynamixelArm(arm, BusStream(bus), clock)
     return Devices(
         camera,
         driver,
-        cell.clock,
+        clock,
         concerns=_Concerns(camera, driver.bus.statistics),
         presenter=cell.presenter,
         truth=_CellTruth(cell),

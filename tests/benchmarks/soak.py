@@ -39,7 +39,7 @@ from controller.domain import ArmDescription, Outcome, PickPlan, Result
 from controller.errors import SorterError
 from controller.ledger.view import LedgerView
 from controller.service import session as session_module
-from controller.service.client import ControlClient
+from controller.service.client import CommandFailed, ControlClient
 from controller.service.faults import fault_code
 from controller.service.session import RunOptions, Session
 from sim_backends.person import Person
@@ -135,6 +135,11 @@ class Soak(Observer):
         self._began = self._supplied_at = self._window_at = devices.clock.now()
         return (self,)
 
+    @property
+    def lasted(self) -> float:
+        """Simulated s so far."""
+        return self._now() - self._began
+
     def planned(self, plan: PickPlan) -> None:
         """A cycle begins."""
         self._planned_at = self._now()
@@ -205,7 +210,7 @@ class Soak(Observer):
         world.forget(self._now() - 60.0)
         world.collisions.clear()
         self._operator = self._operator or ControlClient(Path(os.environ["STATE_DIRECTORY"]))
-        self._operator.ask("emptied")
+        _ask(self._operator, "emptied")
         self._supplied_at = self._now()
 
     # --- the process ----------------------------------------------------------------------------------
@@ -232,25 +237,44 @@ class Soak(Observer):
         return self.devices.clock.now()
 
 
-def operate(soak: Soak, session: Session, found: Found) -> None:
+def _ask(operator: ControlClient, command: str) -> None:
+    """Ask again for as long as another command is being worked on."""
+    while True:
+        try:
+            operator.ask(command)
+        except CommandFailed as error:
+            if error.code != "busy":
+                raise
+            time.sleep(0.005)
+        else:
+            return
+
+
+def operate(soak: Soak, session: Session) -> None:
     """The operator: starts, puts right, resets, resumes, until it is over."""
     operator = ControlClient(Path(os.environ["STATE_DIRECTORY"]))
-    while not soak.over.wait(0.02):
-        with suppress(SorterError):
-            status = operator.ask("status")
-            active = [alarm["code"] for alarm in status["alarms"] if alarm["active"]]
-            if status["state"] == "ABORTED":
-                assert soak.devices is not None
-                assert soak.devices.script is not None
-                soak.devices.script.repair()
-                operator.ask("reset")
-            elif status["state"] == "STOPPED":
-                operator.ask("start")
-            elif status["state"] == "HELD" and "part_held" in active:
-                operator.ask("resume")
-            if status["alarms"]:
-                operator.ask("acknowledge")
-    session.stop()
+    try:
+        while not soak.over.wait(0.02):
+            with suppress(SorterError):
+                _operate_once(operator, soak)
+    finally:
+        session.stop()
+
+
+def _operate_once(operator: ControlClient, soak: Soak) -> None:
+    status = operator.ask("status")
+    active = [alarm["code"] for alarm in status["alarms"] if alarm["active"]]
+    if status["state"] == "ABORTED":
+        assert soak.devices is not None
+        assert soak.devices.script is not None
+        soak.devices.script.repair()
+        operator.ask("reset")
+    elif status["state"] == "STOPPED":
+        operator.ask("start")
+    elif status["state"] == "HELD" and "part_held" in active:
+        operator.ask("resume")
+    if status["alarms"]:
+        operator.ask("acknowledge")
 
 
 def script(seconds: float, seed: int, faults_an_hour: float) -> str:
@@ -318,14 +342,19 @@ def run(
 
     config = load_cell(shipped("sim.toml"))
     session = Session(RunOptions(Mode.REAL, config, calibration=calibration, watch=soak.watch))
-    operator = threading.Thread(target=operate, args=(soak, session, found), name="operator")
+    operator = threading.Thread(target=operate, args=(soak, session), name="operator")
     state = {"STATE_DIRECTORY": str(folder / "state")}
     with patch.object(session_module, "DEVICES", {Mode.REAL: devices}), patch.dict(os.environ, state):
         operator.start()
         try:
-            with suppress(SorterError):  # a fault latched as it was stopped
-                session.run()
+            session.run()
+        except SorterError as error:
+            # A fault may have latched just as it was stopped.
+            if not soak.over.is_set():
+                found.complaints.append(f"the service has ended: {error}")
         finally:
+            if not soak.over.is_set():
+                found.complaints.append(f"it ended before its time, at {soak.lasted:.0f} s")
             soak.over.set()
             operator.join()
     _judge(found, folder / "state" / "ledger.db")
