@@ -34,6 +34,7 @@ _WEAK_SUPPLY = 10.3
 _CAMERA = {
     "camera_lost": "lost",
     "camera_stalled": "stalled",
+    "camera_failed": "failed",
     "picture_frozen": "frozen",
     "picture_black": "black",
     "picture_overexposed": "overexposed",
@@ -44,6 +45,8 @@ _CAMERA = {
     "picture_covered": "covered",
     "light_drifting": "dimming",
     "pictures_damaged": "ragged",
+    "intruder": "reached_over",
+    "part_unknown": "strange",
 }
 _SERVO = {
     "servo_overload": Fault.OVERLOAD,
@@ -183,10 +186,15 @@ class FaultDirector:
                 if fault.delay > 0.0:
                     self._plan(now + fault.delay, fault)
                 else:
-                    self._strike(fault)
+                    self.strike(fault)
+
+    def add(self, script: tuple[ScriptedFault, ...]) -> None:
+        """Let these happen too; what strikes at a time, only when it is added before the work begins."""
+        self._waiting += script
 
     def repair(self) -> None:
         """Somebody has put everything right: plugs, supply, what is in the way; faulted servos switched off and on."""
+        self._camera.heal()
         self._bus.heal()
         self._bus.faults.set_rate(Fault.CORRUPT, 0.0)
         for servo_id in self._bus.servo_ids:
@@ -195,27 +203,8 @@ class FaultDirector:
                 self._bus.strike(Fault.REBOOT, servo_id)
         self.ledger_unwritable = False
 
-    # --- inside -------------------------------------------------------------------------------------------
-
-    def _plan(self, at: float, fault: ScriptedFault) -> None:
-        self._at(at, lambda: self._strike(fault))
-
-    def _at(self, at: float, action: Callable[[], None]) -> None:
-        if math.isfinite(at):
-            self._due.append((at, action))
-            self._next = min(self._next, at)
-
-    def _step(self, dt: float) -> None:
-        now = self._world.now()
-        if now < self._next:
-            return
-        due = [action for at, action in self._due if at <= now]
-        self._due = [(at, action) for at, action in self._due if at > now]
-        self._next = min((at for at, _ in self._due), default=math.inf)
-        for action in due:
-            action()
-
-    def _strike(self, fault: ScriptedFault) -> None:
+    def strike(self, fault: ScriptedFault) -> None:
+        """Let a fault happen now, for its duration."""
         now, world, bus = self._world.now(), self._world, self._bus
         self.struck.append((fault.fault, now - (self._began or 0.0)))
         end = now + fault.duration
@@ -251,3 +240,23 @@ class FaultDirector:
             self._at(end, lambda: setattr(self, "ledger_unwritable", False))
         else:
             os.kill(os.getpid(), signal.SIGKILL)
+
+    # --- inside -------------------------------------------------------------------------------------------
+
+    def _plan(self, at: float, fault: ScriptedFault) -> None:
+        self._at(at, lambda: self.strike(fault))
+
+    def _at(self, at: float, action: Callable[[], None]) -> None:
+        if math.isfinite(at):
+            self._due.append((at, action))
+            self._next = min(self._next, at)
+
+    def _step(self, dt: float) -> None:
+        now = self._world.now()
+        if now < self._next:
+            return
+        due = [action for at, action in self._due if at <= now]
+        self._due = [(at, action) for at, action in self._due if at > now]
+        self._next = min((at for at, _ in self._due), default=math.inf)
+        for action in due:
+            action()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Frame
-from controller.errors import CameraLost, FrameStale
+from controller.errors import CameraError, CameraLost, FrameStale
 from controller.ports import Camera, Clock
 
 Image = NDArray[np.uint8]
@@ -22,8 +22,9 @@ class CameraFault:
     """What goes wrong, and when.
 
     Attributes:
-        kind: `lost` (gone: no frame, and opening fails), `stalled` (no frame comes), `frozen` (the last picture
-            comes again and again), `ragged` (two of three pictures are torn), or a name of `PICTURE_FAULTS`.
+        kind: `lost` (gone: no frame, and opening fails), `stalled` (no frame comes), `failed` (frames of another
+            size come, which no driver lets through), `frozen` (the last picture comes again and again), `ragged` (two
+            of three pictures are torn), or a name of `PICTURE_FAULTS`.
         begins: s of the cell's clock.
         ends: s of the cell's clock.
     """
@@ -52,6 +53,24 @@ def _covered(image: Image) -> Image:
     return out
 
 
+def _reached_over(image: Image) -> Image:
+    """A bare arm reaches in from ahead, to the middle of the table."""
+    out, (height, width) = image.copy(), image.shape[:2]
+    left, right = round(0.46 * width), round(0.54 * width)
+    cv2.rectangle(out, (left, 0), (right, height // 2), (118, 148, 205), -1)
+    cv2.circle(out, ((left + right) // 2, height // 2), (right - left) // 2, (118, 148, 205), -1)
+    return out
+
+
+def _strange(image: Image) -> Image:
+    """Something crooked lies to the arm's right, of a shape that nobody has a name for."""
+    out, (height, width) = image.copy(), image.shape[:2]
+    corners = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 4], [5, 4], [5, 6], [0, 6]], np.float64)
+    place = np.rint(corners * 0.011 * width + (0.64 * width, 0.5 * height)).astype(np.int32)
+    cv2.fillPoly(out, [place], (60, 60, 70), cv2.LINE_AA)
+    return out
+
+
 PICTURE_FAULTS: Mapping[str, Callable[[Image], Image]] = {
     "black": np.zeros_like,
     "overexposed": lambda image: cv2.convertScaleAbs(image, alpha=10.0).astype(np.uint8, copy=False),
@@ -61,8 +80,10 @@ PICTURE_FAULTS: Mapping[str, Callable[[Image], Image]] = {
     "torn": _torn,
     "moved": _moved,
     "covered": _covered,
+    "reached_over": _reached_over,
+    "strange": _strange,
 }
-_KINDS = frozenset({"lost", "stalled", "frozen", "ragged", *PICTURE_FAULTS})
+_KINDS = frozenset({"lost", "stalled", "failed", "frozen", "ragged", *PICTURE_FAULTS})
 
 
 class FaultyCamera:
@@ -95,6 +116,10 @@ class FaultyCamera:
             raise ValueError(f"no camera fault {fault.kind!r}; there are {', '.join(sorted(_KINDS))}")
         self._faults.append(fault)
 
+    def heal(self) -> None:
+        """Nothing is wrong any more, nor will be."""
+        self._faults.clear()
+
     def open(self) -> None:
         """Open the camera, unless it is gone."""
         self._refuse_if_lost("open")
@@ -111,6 +136,8 @@ class FaultyCamera:
         if self._due("stalled", max(after, began)):
             self._clock.sleep(timeout)
             raise FrameStale("faulty camera", "capture", f"no frame within {timeout:g} s")
+        if self._due("failed", max(after, began)):
+            raise CameraError("faulty camera", "capture", "it gives frames of 640 x 480, not of the calibrated size")
         frame = self._camera.capture(after, timeout)
         self._refuse_if_lost("capture")
         image = frame.image

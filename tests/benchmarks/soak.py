@@ -243,9 +243,9 @@ def _ask(operator: ControlClient, command: str) -> None:
         try:
             operator.ask(command)
         except CommandFailed as error:
-            if error.code != "busy":
+            if error.code not in ("busy", "too_fast"):
                 raise
-            time.sleep(0.005)
+            time.sleep(0.01)
         else:
             return
 
@@ -254,7 +254,7 @@ def operate(soak: Soak, session: Session) -> None:
     """The operator: starts, puts right, resets, resumes, until it is over."""
     operator = ControlClient(Path(os.environ["STATE_DIRECTORY"]))
     try:
-        while not soak.over.wait(0.02):
+        while not soak.over.wait(0.05):
             with suppress(SorterError):
                 _operate_once(operator, soak)
     finally:
