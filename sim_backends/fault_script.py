@@ -192,6 +192,10 @@ class FaultDirector:
         """Let these happen too; what strikes at a time, only when it is added before the work begins."""
         self._waiting += script
 
+    def forget(self) -> None:
+        """What was to strike from now on does not."""
+        self._waiting.clear()
+
     def repair(self) -> None:
         """Somebody has put everything right: plugs, supply, what is in the way; faulted servos switched off and on."""
         self._camera.heal()

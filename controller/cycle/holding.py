@@ -50,6 +50,10 @@ class Hold:
         self.clear_since = math.inf
         self._pause = FIRST_PAUSE
 
+    def is_for(self, cause: SorterError) -> bool:
+        """Whether it is the same that has failed, not yet another thing."""
+        return (type(cause), getattr(cause, "code", "")) == (type(self.cause), getattr(self.cause, "code", ""))
+
     def failed(self, cause: SorterError, now: float) -> None:
         """A try has failed: the next comes later."""
         self.cause = cause

@@ -133,6 +133,13 @@ class Sorter:
         """Sort. Moves metal, blocks until the cell is STOPPED or FAULT."""
         try:
             self._run()
+        except BaseException:
+            try:
+                self._settle("the controller failed")
+            finally:
+                if not isinstance(self.fault, ArmError):
+                    self._come_to_rest()
+            raise
         finally:
             self._looker.close()
 
@@ -147,10 +154,6 @@ class Sorter:
                 trigger = self._hold_for(error)
             except SorterError as error:
                 trigger = self._latch(error)
-            except BaseException:
-                self._settle("the controller failed")
-                self._come_to_rest()
-                raise
             if trigger == "stopped":
                 trigger = self._shut_down()
             self._fire(trigger)
@@ -364,7 +367,7 @@ class Sorter:
         """Hold for something that may pass; where nobody operates the cell, not for ever."""
         now = self.rig.clock.now()
         self._looker.forget()
-        known = self._held is not None and type(self._held.cause) is type(error)
+        known = self._held is not None and self._held.is_for(error)
         self._held = self._held or Hold(error, now)
         self._held.failed(error, now)
         self._go_on.clear()

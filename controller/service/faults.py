@@ -217,6 +217,8 @@ def fault_code(error: SorterError) -> str:
     if isinstance(error, ServoFault):
         return next((code for bit, code in _SERVO_BITS if error.bits & bit), "servo_rebooted")
     if isinstance(error, BusError):
+        if error.operation == "inventory" and error.code != "lost":
+            return "bus_refused"  # somebody is not there, there twice, or another one
         return f"bus_{error.code}" if f"bus_{error.code}" in CATALOGUE else "arm_failed"
     if isinstance(error, PictureUnusable):
         return f"picture_{error.code}"

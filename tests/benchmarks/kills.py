@@ -1,12 +1,12 @@
 """Kill -9 at random moments of a sorting service: every acknowledged record is there, once; what the next start says.
 
-    python -m tests.benchmarks.kills --count 500
+    python -m tests.benchmarks.kills --count 500 --jobs 2
 
 Every kill hits a process of its own that sorts a simulated table as the service would, after a random amount of its
 processor time. It says on a pipe what the ledger has acknowledged, before it goes on. Then the service is started
 again in the same state folder and asked over its socket: it must be STOPPED, and must say that the gripper may hold a
 part whenever it did at the moment of the kill. Processes are forked from one that has opened the simulated devices, so
-that a kill costs about two seconds of one processor. Ctrl-C ends the study and prints what was found until then. The
+that a kill costs about a second of one processor. Ctrl-C ends the study and prints what was found until then. The
 exit code is 1 when anything was not as it has to be.
 """
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import mmap
-import multiprocessing
 import os
 import random
 import signal
@@ -26,31 +25,26 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 from unittest.mock import patch
 
 import cv2
 
-from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
-from controller.config.arm import load_arm
-from controller.config.cell import CellConfig, load_cell
-from controller.config.files import shipped
+from controller.backends import Devices, Mode
 from controller.cycle.rig import Observer
-from controller.domain import ArmDescription, Outcome, PickPlan
+from controller.domain import Outcome, PickPlan
 from controller.ledger.view import LedgerView
 from controller.service import session as session_module
 from controller.service.client import ControlClient, NotRunning
 from controller.service.session import RunOptions, Session
-from tests.benchmarks.cell_vision import look_at_cell
-from tests.unit.calibration.certified import certify
+from tests.benchmarks.open_cell import FORK, OpenCell, apart
 
-SEED, PARTS = 7, 2
-SORTED_IN = 2.7
+SORTED_IN = 1.1
 """s of processor time in which the table is sorted; kills are spread evenly over it."""
 _PATIENCE = 60.0  # s for anything that is waited for
-_FORK = multiprocessing.get_context("fork")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,44 +68,25 @@ class Verdict:
 
 @dataclass(slots=True)
 class Prepared:
-    """A simulated cell, calibrated, its devices open: what processes that sort are forked from.
+    """What processes that sort are forked from.
 
     Attributes:
-        config: The cell.
-        calibration: Its folder.
-        devices: Open.
+        cell: Calibrated, its devices open.
         holding: Whether both jaws touch a part, in memory that the processes share.
     """
 
-    config: CellConfig
-    calibration: Path
-    devices: Devices
+    cell: OpenCell
     holding: mmap.mmap = field(default_factory=lambda: mmap.mmap(-1, 1))
 
-    @classmethod
-    def make(cls, folder: Path, calibration: Path | None = None) -> Prepared:
-        """Open a cell's devices; calibrate it into the folder, unless its calibration is given."""
-        if calibration is None:
-            look_at_cell(SEED, PARTS, "dynamic", folder)
-            calibration = folder / "calibration"
-            certify(calibration)
-            certify(calibration)
-        config = load_cell(shipped("sim.toml"))
-        options = BackendOptions(folder, parts=PARTS, seed=SEED, level=Level.DYNAMIC)
-        devices = DEVICES[Mode.SIM](config, load_arm(config.arm.description), options)
-        devices.presenter = None
-        made = cls(config, calibration, devices)
-        world = cast(Any, devices.truth).cell.world
+    def __post_init__(self) -> None:
+        """Feel what the jaws hold."""
+        assert self.cell.devices.on_step is not None
+        world = self.cell.world
 
         def feel(dt: float) -> None:
-            made.holding[0] = bool(world.held)
+            self.holding[0] = bool(world.held)
 
-        assert devices.on_step is not None
-        devices.on_step(feel)
-        devices.open()
-        # What is made once is made here, not in every process.
-        devices.camera.capture(devices.clock.now())
-        return made
+        self.cell.devices.on_step(feel)
 
 
 class _Told(Observer):
@@ -139,15 +114,12 @@ def _serve(prepared: Prepared, state: Path, line: Connection | None) -> None:
     os.environ["STATE_DIRECTORY"] = str(state)
     os.environ.pop("RUNTIME_DIRECTORY", None)
 
-    def devices(config: CellConfig, arm: ArmDescription, options: BackendOptions) -> Devices:
-        return prepared.devices
-
-    patch.object(session_module, "DEVICES", {Mode.REAL: devices}).start()
+    patch.object(session_module, "DEVICES", {Mode.REAL: prepared.cell.factory}).start()
     watch: Callable[[Devices], tuple[Observer, ...]] = _Told(line).watch if line is not None else lambda devices: ()
     options = RunOptions(
         Mode.REAL,
-        prepared.config,
-        calibration=prepared.calibration,
+        prepared.cell.config,
+        calibration=prepared.cell.calibration,
         start=line is not None,
         watch=watch,
     )
@@ -157,11 +129,14 @@ def _serve(prepared: Prepared, state: Path, line: Connection | None) -> None:
 
 
 def kill_one(prepared: Prepared, after: float, state: Path) -> Verdict:
-    """Let a service sort, kill it `after` s of processor time, start the next one in its state folder and ask it."""
+    """Let a service sort, kill it `after` s of processor time, start the next one in its state folder and ask it.
+
+    To be called `apart`.
+    """
     said: list[tuple[str, str, int]] = []
-    ours, theirs = _FORK.Pipe(duplex=False)
-    prepared.holding[0] = 0
-    process = _FORK.Process(target=_serve, args=(prepared, state, theirs))
+    prepared.holding = mmap.mmap(-1, 1)
+    ours, theirs = FORK.Pipe(duplex=False)
+    process = FORK.Process(target=_serve, args=(prepared, state, theirs))
     process.start()
     theirs.close()
     assert process.pid is not None
@@ -185,7 +160,7 @@ def kill_one(prepared: Prepared, after: float, state: Path) -> Verdict:
 
 def _next_start(prepared: Prepared, state: Path) -> Mapping[str, Any]:
     """The status of the service that comes up next, which is then ended."""
-    process = _FORK.Process(target=_serve, args=(prepared, state, None))
+    process = FORK.Process(target=_serve, args=(prepared, state, None))
     process.start()
     operator, until = ControlClient(state), time.monotonic() + _PATIENCE
     status: Mapping[str, Any] = {}
@@ -231,15 +206,17 @@ def _judge(said: list[tuple[str, str, int]], held: bool, status: Mapping[str, An
     return Verdict(len(said) - 1, len(settled), held, bool(status.get("may_hold_part")), tuple(complaints))
 
 
-def run(count: int, seed: int, root: Path, calibration: Path | None = None) -> Iterator[Verdict]:
-    """So many kills at random moments; see `Prepared.make` for the calibration."""
-    prepared = Prepared.make(root, calibration)
+def run(count: int, seed: int, root: Path, *, jobs: int = 1, calibration: Path | None = None) -> Iterator[Verdict]:
+    """So many kills at random moments, `jobs` at a time; see `OpenCell.make` for the calibration."""
+    prepared = Prepared(OpenCell.make(root, calibration))
     random_ = random.Random(seed)
+    moments = [random_.uniform(0.0, SORTED_IN) for _ in range(count)]
+    work = [partial(kill_one, prepared, after, root / f"kill{number}") for number, after in enumerate(moments)]
     try:
-        for number in range(count):
-            yield kill_one(prepared, random_.uniform(0.0, SORTED_IN), root / f"kill{number}")
+        for number, verdict in apart(work, jobs):
+            yield verdict or Verdict(0, 0, False, False, (f"kill {number}: the process that looks has died",))
     finally:
-        prepared.devices.close()
+        prepared.cell.devices.close()
 
 
 def main() -> int:
@@ -247,12 +224,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="kills at a time")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     began = time.perf_counter()
     verdicts: list[Verdict] = []
     with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
-        for verdict in run(arguments.count, arguments.seed, Path(name)):
+        for verdict in run(arguments.count, arguments.seed, Path(name), jobs=arguments.jobs):
             verdicts.append(verdict)
             if len(verdicts) % 50 == 0:
                 print(json.dumps(_figures(verdicts, began)), flush=True)

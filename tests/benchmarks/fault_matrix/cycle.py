@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -52,7 +52,7 @@ class Witness(Observer):
 
     def __init__(self, case: Case | None = None, state: str = "") -> None:
         self.forbidden = False
-        self.moves_after = 0
+        self.moves = self.moves_after = 0
         self._case, self._state = case, state
         self.failure: Callable[[], Exception] | None = None
         self.jump = timedelta()
@@ -77,6 +77,7 @@ class Witness(Observer):
 
     def moving(self) -> None:
         """The arm is told to move."""
+        self.moves += 1
         self.moves_after += self.forbidden
         if self.failure is not None:
             failure, self.failure = self.failure, None
@@ -151,7 +152,10 @@ def run_case(case: Case, state: str, cell: OpenCell, folder: Path) -> Found:
         def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]  # of the parent, not of this
             return datetime.now(tz) + witness.jump
 
-    with patch.object(session_module, "DEVICES", {Mode.SIM: cell.factory}), patch.object(ledger_module, "datetime", Wall):
+    with (
+        patch.object(session_module, "DEVICES", {Mode.SIM: cell.factory}),
+        patch.object(ledger_module, "datetime", Wall),
+    ):
         try:
             Session(options).run()
         except SorterError as error:

@@ -15,6 +15,7 @@ from controller.errors import (
     LedgerError,
     MotionTimeout,
     PartHeld,
+    PictureUnusable,
 )
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
@@ -166,6 +167,37 @@ def test_a_fault_elsewhere_latches_when_the_arm_is_at_rest(monkeypatch: pytest.M
 
 
 @pytest.mark.safety("SR-21")
+@pytest.mark.parametrize("state", [S.CAPTURE, S.PLACE, S.IDLE])
+def test_a_mistake_in_the_program_brings_the_arm_to_rest(monkeypatch: pytest.MonkeyPatch, state: S) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+
+    def entered(now: S, at: float) -> None:
+        if now is state:
+            raise RuntimeError("a mistake")
+
+    monkeypatch.setattr(bench, "entered", entered)
+    with pytest.raises(RuntimeError):
+        bench.run()
+    assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
+    assert bench.results == {S.CAPTURE: [], S.PLACE: [Result.INDETERMINATE], S.IDLE: [Result.PLACED]}[state]
+
+
+@pytest.mark.safety("SR-23")
+def test_a_mistake_after_a_fault_of_the_arm_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.fail_on("follow", 3, MotionTimeout("arm", "follow", "the elbow does not move"), fraction=0.5)
+
+    def entered(now: S, at: float) -> None:
+        if now is S.FAULT:
+            raise RuntimeError("a mistake")
+
+    monkeypatch.setattr(bench, "entered", entered)
+    with pytest.raises(RuntimeError):
+        bench.run()
+    assert bench.commands[-1] == "carry"
+
+
+@pytest.mark.safety("SR-21")
 def test_an_arm_that_cannot_be_parked_keeps_its_torque(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     bench.camera.failures = [CalibrationStale("other camera")]
@@ -279,6 +311,15 @@ def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch)
     assert bench.results == [Result.PLACED]
     assert bench.states.count(S.HELD) == 2
     assert bench.camera.opened == 2
+
+
+def test_another_failure_of_the_camera_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    codes = ["black", "black", "moved"]
+    bench.camera.failures = [PictureUnusable("camera", "look", code, code) for code in codes]
+    bench.run()
+    assert [getattr(cause, "code", "") for cause in bench.held_for] == ["black", "moved"]
+    assert bench.overcome == 1
 
 
 def test_a_camera_that_stays_away_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
