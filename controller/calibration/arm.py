@@ -51,6 +51,7 @@ class ArmCalibration:
             that the poses do not determine.
         sigma: Standard deviations of the offsets (rad) and of the base (`x`, `y`, `z` mm, `yaw` rad).
         places: Where the grasp point was at those poses, (x, y, z) in `table`, mm.
+        touches: Number of pushes of a part that told where the tip is; 0: the marker alone.
     """
 
     calibration_id: str
@@ -65,6 +66,7 @@ class ArmCalibration:
     singular_values: tuple[float, ...] = ()
     sigma: Mapping[str, float] = field(default_factory=dict)
     places: tuple[tuple[float, float, float], ...] = ()
+    touches: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of its file, and of `calibrate arm` apart from the time it took."""
@@ -110,6 +112,7 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
         tuple(float(v) for v in files.numbers(content, "singular_values", (len(singular),), where=where)),
         {str(name): files.number(sigma, name, where=f"{where}: sigma") for name in sigma},
         tuple((float(x), float(y), float(z)) for x, y, z in places),
+        int(files.number(content, "touches", where=where, default=0)),
     )
     stated = content.get("calibration_id")
     return named(partial, stated if isinstance(stated, str) else None)
@@ -133,6 +136,7 @@ def _content(calibration: ArmCalibration) -> dict[str, Any]:
             "singular_values": list(calibration.singular_values),
             "sigma": dict(calibration.sigma),
             "places": [list(place) for place in calibration.places],
+            "touches": calibration.touches,
             "arm": calibration.arm,
             "camera_id": calibration.camera_id,
             "table_id": calibration.table_id,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from controller.calibration.arm import ArmCalibration, Residual, named
 from controller.calibration.arm_model import MarkerView
+from controller.calibration.arm_touch import MIN_TOUCHES, REACH_SIGMA, Touch, predict, whitener
 from controller.errors import CalibrationPoorFit
 from controller.geometry import invert
 
@@ -40,42 +41,62 @@ class Observation:
 
 
 def fit_arm(
-    view: MarkerView, observations: Sequence[Observation], camera_id: str = "", table_id: str = ""
+    view: MarkerView,
+    observations: Sequence[Observation],
+    camera_id: str = "",
+    table_id: str = "",
+    touches: Sequence[Touch] = (),
 ) -> ArmCalibration:
     """Base, joint offsets and mount that explain the observations best, each weighted by what it is worth.
+
+    Args:
+        view: The cell as known so far.
+        observations: Looks at the marker.
+        camera_id: Of the lens the looks rest on.
+        table_id: Of the table.
+        touches: Pushes of a round part; too few of them, or all to one side, are left out.
 
     Raises:
         CalibrationPoorFit: Too few poses, poses that leave an unknown open, or observations that no arm
             of this kind can have caused.
     """
-    encoders = np.array([o.encoders for o in observations])
-    corners = np.array([o.corners.ravel() for o in observations])
+    seen = _Seen.of(observations, touches)
+    view = replace(view, touched=bool(seen.touches))
     _enough(len(observations))
     drop = int(_OUTLIER_SHARE * len(observations))
     while True:
-        parameters, whitener = _solve(view, encoders, corners)
-        white = np.einsum("nij,nj->ni", whitener, corners - view.predict(parameters, encoders))
-        misfit = np.sqrt((white**2).mean(axis=1))
+        parameters, weights = _solve(view, seen)
+        misfit = np.sqrt((_white(view, seen, weights, parameters)[0] ** 2).mean(axis=1))
         worst = int(np.argmax(misfit))
         if misfit[worst] <= _OUTLIER:
             break
-        if drop == 0 or len(encoders) <= MIN_POSES:
+        if drop == 0 or len(seen.encoders) <= MIN_POSES:
             raise CalibrationPoorFit(
                 f"the marker is not where this arm can have it: {misfit[worst]:.1f} times the expected error",
                 "check that arm, board and marker are the configured ones and that nothing was bumped; repeat",
             )
         drop -= 1
-        encoders, corners = np.delete(encoders, worst, axis=0), np.delete(corners, worst, axis=0)
-    rows = (whitener @ view.jacobian(parameters, encoders)).reshape(-1, len(parameters))
-    singular = np.linalg.svd(rows * view.prior, compute_uv=False)
+        seen = replace(
+            seen, encoders=np.delete(seen.encoders, worst, axis=0), corners=np.delete(seen.corners, worst, axis=0)
+        )
+    beside = _white(view, seen, weights, parameters)[1]
+    if len(beside) and (off := float(np.sqrt((beside**2).mean(axis=1)).max())) > _OUTLIER:
+        raise CalibrationPoorFit(
+            f"the part that was touched is not where this arm can have pushed it: {off:.1f} times the expected error",
+            "lay one round part, not worn and of the configured height, on a table it slides on; repeat",
+        )
+    assumed = _assumed(view, seen)
+    rows = -_slopes(view, seen, weights, parameters)
+    singular = np.linalg.svd(rows * assumed, compute_uv=False)
     if singular[-1] < _LEAST_SINGULAR:
         raise CalibrationPoorFit(
             f"the poses do not tell all joint offsets apart (smallest singular value {singular[-1]:.2f})",
             "take more poses, with the tool tilted and the last joint turned both ways",
         )
-    covariance = np.linalg.inv(rows.T @ rows + np.diag(view.prior**-2.0))
+    covariance = np.linalg.inv(rows.T @ rows + np.diag(assumed**-2.0))
     deviation = np.sqrt(np.diag(covariance))
-    found = view.unknowns(parameters)
+    of_view = parameters[: len(view.prior)]
+    found = view.unknowns(of_view)
     names = [joint.name for joint in view.arm.joints]
     spread = {names[joint]: float(deviation[12 + k]) for k, joint in enumerate(view.free_joints)}
     spread |= {axis: float(value) for axis, value in zip(("x", "y", "z"), deviation[3:6], strict=True)}
@@ -88,11 +109,12 @@ def fit_arm(
             invert(found.T_table_base),
             {name: float(value) for name, value in zip(names, found.offsets, strict=True)},
             found.T_tool_marker,
-            Residual.of(distances(view, parameters, encoders, corners)),
-            len(encoders),
+            Residual.of(distances(view, of_view, seen.encoders, seen.corners)),
+            len(seen.encoders),
             tuple(float(value) for value in singular),
             spread | {"yaw": float(deviation[2])},
-            tuple((float(x), float(y), float(z)) for x, y, z in view.tools(found, encoders)),
+            tuple((float(x), float(y), float(z)) for x, y, z in view.tools(found, seen.encoders)),
+            len(seen.touches),
         )
     )
 
@@ -113,22 +135,88 @@ def _enough(count: int) -> None:
         )
 
 
-def _solve(view: MarkerView, encoders: Array, corners: Array) -> tuple[Array, Array]:
-    """Parameters (P,) and the weights (N, 8, 8) they were found with; the assumptions take part as data."""
-    parameters = np.zeros(len(view.prior))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What a fit rests on: poses (N, J) with the marker's corners (N, 8), and touches with their centres (M, 2)."""
+
+    encoders: Array
+    corners: Array
+    touches: tuple[Touch, ...]
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation], touches: Sequence[Touch]) -> _Seen:
+        """Touches count when they came from both sides: how far before the jaws a part lies cancels between them."""
+        both = len(touches) >= MIN_TOUCHES and len({touch.side for touch in touches}) > 1
+        encoders = np.array([o.encoders for o in observations])
+        return cls(encoders, np.array([o.corners.ravel() for o in observations]), tuple(touches) if both else ())
+
+    @property
+    def touching(self) -> Array:
+        """Encoder angles (M, J) of the touches."""
+        return np.array([touch.encoders for touch in self.touches])
+
+    @property
+    def centers(self) -> Array:
+        """Where the parts were seen, (M, 2)."""
+        return np.array([touch.center for touch in self.touches])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weights:
+    """Inverse Cholesky factors: (N, 8, 8) of the poses, (M, 2, 2) of the touches."""
+
+    poses: Array
+    touches: Array
+
+
+def _assumed(view: MarkerView, seen: _Seen) -> Array:
+    """Standard deviations of all parameters before anything was seen; with touches the last is what `reach` lacks."""
+    return np.append(view.prior, REACH_SIGMA) if seen.touches else view.prior
+
+
+def _white(view: MarkerView, seen: _Seen, weights: _Weights, at: Array) -> tuple[Array, Array]:
+    """Whitened residuals of poses (N, 8) and touches (M, 2)."""
+    poses = np.einsum("nij,nj->ni", weights.poses, seen.corners - view.predict(at[: len(view.prior)], seen.encoders))
+    if not seen.touches:
+        return poses, np.empty((0, 2))
+    beside = seen.centers - predict(view, at, seen.touches, seen.touching)
+    return poses, np.einsum("nij,nj->ni", weights.touches, beside)
+
+
+def _slopes(view: MarkerView, seen: _Seen, weights: _Weights, at: Array) -> Array:
+    """Derivatives of the whitened residuals, all poses' and then all touches'."""
+    of_view = len(view.prior)
+    poses = -(weights.poses @ view.jacobian(at[:of_view], seen.encoders)).reshape(-1, of_view)
+    if not seen.touches:
+        return poses
+    columns = []
+    for index, step in enumerate(1e-4 * _assumed(view, seen)):
+        turn = np.zeros(len(at))
+        turn[index] = step
+        ahead = predict(view, at + turn, seen.touches, seen.touching)
+        columns.append((ahead - predict(view, at - turn, seen.touches, seen.touching)) / (2 * step))
+    beside = -np.einsum("nij,pnj->nip", weights.touches, np.array(columns)).reshape(-1, len(at))
+    return np.vstack([np.column_stack([poses, np.zeros(len(poses))]), beside])
+
+
+def _solve(view: MarkerView, seen: _Seen) -> tuple[Array, _Weights]:
+    """Parameters and the weights they were found with; the assumptions take part as data."""
+    assumed = _assumed(view, seen)
+    parameters = np.zeros(len(assumed))
     for _ in range(2):  # the weights hang on the parameters only a little
-        whitener = view.whitener(parameters, encoders)
+        weights = _Weights(
+            view.whitener(parameters[: len(view.prior)], seen.encoders),
+            whitener(view, parameters, seen.touches) if seen.touches else np.empty((0, 2, 2)),
+        )
 
-        def residuals(at: Array, by: Array = whitener) -> Array:
-            white = np.einsum("nij,nj->ni", by, corners - view.predict(at, encoders))
-            return np.concatenate([white.ravel(), at / view.prior])
+        def residuals(at: Array, by: _Weights = weights) -> Array:
+            return np.concatenate([*(part.ravel() for part in _white(view, seen, by, at)), at / assumed])
 
-        def derivative(at: Array, by: Array = whitener) -> Array:
-            white = -(by @ view.jacobian(at, encoders)).reshape(-1, len(at))
-            return np.vstack([white, np.diag(1.0 / view.prior)])
+        def derivative(at: Array, by: _Weights = weights) -> Array:
+            return np.vstack([_slopes(view, seen, by, at), np.diag(1.0 / assumed)])
 
         # A first guess may be off by many px: bounded influence brings it in, squares finish it.
         for loss in ("soft_l1", "linear"):
-            solution = least_squares(residuals, parameters, jac=derivative, x_scale=view.prior, loss=loss)
+            solution = least_squares(residuals, parameters, jac=derivative, x_scale=assumed, loss=loss)
             parameters = np.asarray(solution.x, np.float64)
-    return parameters, whitener
+    return parameters, weights

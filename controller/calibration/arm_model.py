@@ -1,7 +1,8 @@
 """Where a camera sees the marker on the gripper, given the base, the joint offsets and the mount.
 
-Waist offset and base yaw turn the arm alike, and so do the last joint's offset and the marker's roll:
-both offsets are fixed at zero and their share goes to the other.
+Waist offset and base yaw turn the arm alike, and so do the last joint's offset and the marker's mount: both offsets
+are fixed at zero and their share goes to the other. Of a wrist roll that is no loss: it turns the tool about its own
+axis. Of an arm without one it moves the tip, and touches tell it from the mount.
 """
 
 from __future__ import annotations
@@ -47,18 +48,28 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerView:
-    """The model of one cell's camera, arm and marker around a first guess."""
+    """The model of one cell's camera, arm and marker around a first guess.
+
+    Attributes:
+        arm: As described.
+        marker: As drawn.
+        camera: The lens.
+        T_table_camera, T_base_table: ndarray of shape (4, 4): the camera as calibrated, the base by ruler.
+        touched: The tip touches things that the camera sees.
+    """
 
     arm: ArmDescription
     marker: ArmMarker
     camera: CameraModel
     T_table_camera: Array
     T_base_table: Array
+    touched: bool = False
 
     @property
     def free_joints(self) -> tuple[int, ...]:
-        """Joints whose offset can be told: all but the first and the last."""
-        return tuple(range(1, len(self.arm.joints) - 1))
+        """Joints whose offset can be told: all but the first and the last; a touching wrist's as well."""
+        last = len(self.arm.joints) - (0 if self.touched and not has_roll(self.arm) else 1)
+        return tuple(range(1, last))
 
     @property
     def prior(self) -> Array:
@@ -117,6 +128,11 @@ class MarkerView:
             by_joint[:, :, joint] = (ahead - back) / (2 * step)
         covariance = PIXEL_SIGMA**2 * np.eye(8) + JOINT_SIGMA**2 * by_joint @ by_joint.transpose(0, 2, 1)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def has_roll(arm: ArmDescription) -> bool:
+    """Whether the last joint turns the tool about its own axis."""
+    return arm.joints[-1].axis == "x"
 
 
 def _small(parameters: Array) -> Array:

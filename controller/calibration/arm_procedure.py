@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from controller.calibration.arm import ArmCalibration
 from controller.calibration.arm_fit import Observation, fit_arm
 from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_poses import choose
+from controller.calibration.arm_touch import Touch
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
@@ -33,6 +34,7 @@ def calibrate_arm(
     table: TableCalibration,
     T_base_table: Array,
     marker: ArmMarker | None = None,
+    touch: Callable[[ArmCalibration], Sequence[Touch]] | None = None,
     poses: int = POSES,
     clearance: float = 45.0,
     seed: int = 0,
@@ -52,6 +54,7 @@ def calibrate_arm(
         table: Of the camera.
         T_base_table: ndarray of shape (4, 4), where the table lies by ruler.
         marker: What is on the gripper.
+        touch: Pushes a part with the arm as the marker has shown it; None: the marker alone counts.
         poses: How many poses to show.
         clearance: Least height of jaws and plate above the table, mm.
         seed: Of the choice of poses.
@@ -77,4 +80,6 @@ def calibrate_arm(
         found = view.marker.find(camera.capture(clock.now()).image, lens.camera)
         if found is not None:
             seen.append(Observation(np.asarray(arm.state().positions), found))
-    return fit_arm(view, seen, lens.calibration_id, table.calibration_id)
+    made = fit_arm(view, seen, lens.calibration_id, table.calibration_id)
+    touches = touch(made) if touch is not None else ()
+    return fit_arm(view, seen, lens.calibration_id, table.calibration_id, touches) if touches else made

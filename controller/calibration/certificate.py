@@ -15,7 +15,7 @@ import numpy as np
 
 from controller.calibration import files
 from controller.calibration.arm import ArmCalibration, Residual
-from controller.calibration.arm_model import PRIOR_OFFSET, MarkerView, Unknowns
+from controller.calibration.arm_model import PRIOR_OFFSET, MarkerView, Unknowns, has_roll
 from controller.calibration.arm_poses import lowest, visible
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
@@ -177,7 +177,7 @@ def check_arm(
             f"the marker was seen at only {len(places)} of {len(wanted)} places", "check light and marker; repeat"
         )
     touch = Residual.of(np.linalg.norm(errors, axis=1))
-    unseen = _unseen(view)
+    unseen = _unseen(view, calibration)
     good = touch.mean + unseen <= MEAN_LIMIT and touch.p95 + unseen <= P95_LIMIT
     return Certificate(
         touch,
@@ -191,16 +191,17 @@ def check_arm(
     )
 
 
-def _unseen(view: MarkerView) -> float:
+def _unseen(view: MarkerView, calibration: ArmCalibration) -> float:
     """Mean distance (mm) of the true grasp point from the one the marker tells.
 
     Turning the last joint turns the marker about the tool's axis, which shows where that axis is. Where the last
-    joint is the wrist's pitch, its offset is part of the marker's mount: only a tip that touches marks shows it.
+    joint is the wrist's pitch, its offset is part of the marker's mount: only a tip that touches things shows it.
     """
-    if len(view.arm.joints) > 4:
+    if has_roll(view.arm):
         return 0.0
     hand = float(np.linalg.norm(view.arm.tool))
-    return hand * PRIOR_OFFSET * math.sqrt(2.0 / math.pi)  # mean of the size of a normal deviate
+    deviation = calibration.sigma.get(view.arm.joint_names[-1], PRIOR_OFFSET)
+    return hand * deviation * math.sqrt(2.0 / math.pi)  # mean of the size of a normal deviate
 
 
 def _unmoved(

@@ -34,6 +34,8 @@ from controller.motion.view import hides
 
 CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
 PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
+TOUCH_SPEED = 25.0  # mm/s: it slides on by 0.1 mm
+_LET_GO = 5.0  # mm back from a part that was touched before the jaws rise beside it
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
 
 
@@ -157,6 +159,42 @@ class Planner:
                 failure = failure or error
         assert failure is not None
         raise failure
+
+    def plan_touch(
+        self, part: LocatedObject, beside: Point, by: Array, start: Array
+    ) -> tuple[Trajectory, Trajectory, Trajectory]:
+        """Down beside a part that lies alone, a slow push with the closed jaws, and back to the ready pose.
+
+        Args:
+            part: What is pushed.
+            beside: (x, y) in `table` where the jaws come down, mm.
+            by: ndarray of shape (2,): how far the jaws go, `table`, mm.
+            start: ndarray of shape (J,): measured joint angles, rad.
+
+        Returns:
+            Approach, push and retreat; between push and retreat the jaws stand against the part.
+
+        Raises:
+            Unreachable: A place lies outside the reach.
+            LimitViolation: The gate refuses a move.
+        """
+        q0 = self._wanted(start)
+        opening = self.arm.gripper.opening[0]
+        height = grasps.grasp_height(part, self.arm.gripper)
+        stop = self._postures.over(beside, height, None, self._postures.tangent(beside))
+        approach = self._approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), 0.0, opening, 0.0)
+        along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*by, 0.0]))
+        push = self._calm("touch", [along], [], TOUCH_SPEED)
+        share = -_LET_GO / math.hypot(*by)
+        back = straight(self.arm, along.end, self._T[:3, :3] @ np.array([*(share * by), 0.0]))
+        up = stroke(self.arm, back.end, stop.rise)
+        home = line(self.arm, up.end, np.array(self.arm.ready))
+        retreat = self._trajectory("retreat", [back, up, home], [(0.0, 0.0), (0.0, ways.CORNER)])
+        where = q0
+        for trajectory in (approach, push, retreat):
+            self.gate.check(trajectory, where, opening=opening)
+            where = trajectory.positions[-1]
+        return approach, push, retreat
 
     def plan_move(self, name: str, start: Array, goal: Array) -> Trajectory:
         """A move from a pose to another, over a safe height where the direct way passes low.

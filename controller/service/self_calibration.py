@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +22,38 @@ from controller import __version__
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
 from controller.calibration import certificate, files
 from controller.calibration.arm import ArmCalibration, Residual
+from controller.calibration.arm_model import has_roll
 from controller.calibration.arm_procedure import calibrate_arm
+from controller.calibration.arm_touch import Touch, push_part
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import calibrate_by_showing
 from controller.calibration.identified import load_identified
-from controller.calibration.store import CAMERA, CERTIFICATE, TABLE, load, load_calibration, save, save_calibration
+from controller.calibration.store import (
+    CAMERA,
+    CERTIFICATE,
+    TABLE,
+    cell_calibration,
+    load,
+    load_calibration,
+    save,
+    save_calibration,
+)
 from controller.calibration.table import TableCalibration
 from controller.calibration.touch_map import touch_map
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
-from controller.domain import Array, CellCalibration, Trajectory
+from controller.cycle.view import region_mask
+from controller.domain import Array, CellCalibration, LocatedObject, Shape, Trajectory
 from controller.errors import ArmError, CalibrationMissing, SafetyStop
+from controller.localization.locate import locate
 from controller.motion import dynamics
 from controller.motion.planner import Planner
 from controller.ports import Arm
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
+from controller.vision.detect import detect
+from controller.vision.recipe import Recipe, load_recipe
 
 Say = Callable[[str], None]
 
@@ -86,7 +102,7 @@ def open_cell(options: CalibrationOptions) -> Iterator[tuple[Devices, Path]]:
     with ExitStack() as stack:
         if not options.sim:
             stack.enter_context(InstanceLock(state_folder()))
-        backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level)
+        backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level, round_part=True)
         devices = DEVICES[Mode.SIM if options.sim else Mode.REAL](options.config, description, backend)
         stack.callback(devices.close)
         devices.clear_table()
@@ -132,6 +148,16 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
     table = TableCalibration.load(folder / TABLE, lens)
     by_ruler = CellCalibration("by ruler", lens.camera, table.T_table_camera, config.table.T_base_table())
     with at_work(devices.arm, config, by_ruler, folder) as mover:
+
+        def touch(known: ArmCalibration) -> list[Touch]:
+            devices.lay_round_part()
+            calibration = cell_calibration(lens, table, known)
+            planner = _planner(devices.arm, config, calibration, folder)
+            look = partial(_round_part, devices, config, calibration, load_recipe(config.vision.recipe))
+            touches = push_part(devices.arm, devices.clock, planner, look, progress=progress)
+            devices.clear_table()
+            return touches
+
         made = calibrate_arm(
             devices.arm,
             devices.camera,
@@ -140,12 +166,29 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
             lens=lens,
             table=table,
             T_base_table=config.table.T_base_table(),
+            touch=None if has_roll(devices.arm.description) else touch,
             progress=progress,
         )
         save(folder, arm=made, provenance=_provenance(devices, config))
         mover.planner = _planner(devices.arm, config, load_calibration(folder), folder)
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
     return made
+
+
+def _round_part(
+    devices: Devices, config: CellConfig, calibration: CellCalibration, recipe: Recipe
+) -> LocatedObject | None:
+    """The only round part in the work area, if one and nothing else lies there."""
+    frame = devices.camera.capture(devices.clock.now(), config.camera.frame_timeout_s)
+    devices.clock.charge(config.cycle.vision_budget_s)
+    region = region_mask(config, calibration, frame.size)
+    found = detect(frame, recipe, plane=calibration.plane(config.shape_plane_mm), region=region).detections
+    things = [
+        thing
+        for thing in locate(found, calibration, config.part_height).objects
+        if config.in_work_area(thing.center, calibration.T_base_table) and thing.size[0] >= config.vision.smallest_mm
+    ]
+    return things[0] if len(things) == 1 and things[0].shape is Shape.CIRCLE else None
 
 
 def calibrate_cell(devices: Devices, config: CellConfig, folder: Path, progress: Say) -> CellCalibration:

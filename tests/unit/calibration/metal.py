@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from controller.calibration.arm_touch import Touch
 from controller.calibration.marker import ArmMarker
 from controller.domain import ArmDescription, ArmState, Frame
 from controller.geometry import CameraModel, invert, pose
@@ -80,6 +81,23 @@ class Metal:
         T = invert(self.T_table_camera) @ self.tool(encoders) @ self.T_tool_marker
         points = self.marker.corners @ T[:3, :3].T + T[:3, 3]
         return self.camera.project(points) + self.random.normal(0.0, self.pixel, (4, 2))
+
+    def push(self, encoders: Array, side: float, radius: float, height: float) -> Touch:
+        """Where a disc on the table lies once the closed jaws have pushed it, and what a camera says of it.
+
+        At every height the disc is stopped by the two inner edges of the jaws' faces; the foremost height counts.
+        """
+        T = self.tool(encoders)
+        half, face = self.arm.gripper.opening[0] / 2.0, side * self.arm.gripper.jaw_size[1] / 2.0
+        ahead = side * T[:2, 2] / np.linalg.norm(T[:2, 2])
+        rests = []
+        for x in np.linspace(-30.0, self.arm.gripper.jaw_depth, 200):
+            left, right = (T @ [x, y, face, 1.0] for y in (half, -half))
+            if left[2] <= height:
+                half_gap = np.linalg.norm(left[:2] - right[:2]) / 2.0
+                rests.append((left[:2] + right[:2]) / 2.0 + ahead * math.sqrt(radius**2 - half_gap**2))
+        center = max(rests, key=lambda place: float(place @ ahead)) + self.random.normal(0.0, 0.1, 2)
+        return Touch(encoders, (float(center[0]), float(center[1])), height, radius, side)
 
 
 class Cell:
