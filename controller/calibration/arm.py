@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import files
+from controller.calibration.map_record import MapRecord, record_from_json
 from controller.calibration.marker import ArmMarker
 from controller.errors import InputError
 
@@ -52,6 +53,7 @@ class ArmCalibration:
         sigma: Standard deviations of the offsets (rad) and of the base (`x`, `y`, `z` mm, `yaw` rad).
         places: Where the grasp point was at those poses, (x, y, z) in `table`, mm.
         touches: Number of pushes of a part that told where the tip is; 0: the marker alone.
+        error_map: What the arm still misses by, where somebody looked.
     """
 
     calibration_id: str
@@ -67,6 +69,7 @@ class ArmCalibration:
     sigma: Mapping[str, float] = field(default_factory=dict)
     places: tuple[tuple[float, float, float], ...] = ()
     touches: int = 0
+    error_map: MapRecord | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of its file, and of `calibrate arm` apart from the time it took."""
@@ -113,6 +116,7 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
         {str(name): files.number(sigma, name, where=f"{where}: sigma") for name in sigma},
         tuple((float(x), float(y), float(z)) for x, y, z in places),
         int(files.number(content, "touches", where=where, default=0)),
+        record_from_json(content.get("error_map"), where),
     )
     stated = content.get("calibration_id")
     return named(partial, stated if isinstance(stated, str) else None)
@@ -137,6 +141,7 @@ def _content(calibration: ArmCalibration) -> dict[str, Any]:
             "sigma": dict(calibration.sigma),
             "places": [list(place) for place in calibration.places],
             "touches": calibration.touches,
+            "error_map": calibration.error_map and calibration.error_map.to_json(),
             "arm": calibration.arm,
             "camera_id": calibration.camera_id,
             "table_id": calibration.table_id,

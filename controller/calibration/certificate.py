@@ -16,22 +16,19 @@ import numpy as np
 from controller.calibration import files
 from controller.calibration.arm import ArmCalibration, Residual
 from controller.calibration.arm_model import PRIOR_OFFSET, MarkerView, Unknowns, has_roll
-from controller.calibration.arm_poses import lowest, visible
 from controller.calibration.camera import CameraCalibration
+from controller.calibration.looks import seen_beside, spread_places
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
-from controller.errors import CalibrationPoorFit, CalibrationStale, PlanError, Unreachable
+from controller.errors import CalibrationPoorFit, CalibrationStale, PlanError
 from controller.geometry import invert
-from controller.motion import kinematics
 from controller.ports import Arm, Camera, Clock
 
 #: Places of a routine check.
 POINTS = 30
 #: The jaw tips stand this far over the table at a touch, mm: more than a calibrated arm misses by in height.
 TOUCH_HEIGHT = 5.0
-#: Held-out places keep this distance from every fitted one, mm: nearer ones would repeat its errors.
-APART = 15.0
 #: A touch misses by at most this in the mean, mm, ...
 MEAN_LIMIT = 0.8
 #: ... and at the 95th percentile.
@@ -42,8 +39,6 @@ PASSED, FAILED = "passed", "failed"
 MOVED_LIMIT = 3.0
 #: Looks before anything comes near the table, and the height of the jaw tips at them, mm.
 FIRST_LOOKS, LOOK_HEIGHT = 3, 60.0
-SETTLE = 0.4
-_DRAWN = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,10 +140,14 @@ def check_arm(
     description = arm.description
     view = MarkerView(description, marker or ArmMarker(), lens.camera, table.T_table_camera, calibration.T_base_table)
     straight = Unknowns(invert(calibration.T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
+    fitted = np.array(calibration.places).reshape(-1, 3)
+    record = calibration.error_map
+    known = None if record is None else record.map
+    mapped = () if record is None else record.places
     if calibration.points:
-        above = _places(view, straight, calibration, FIRST_LOOKS, LOOK_HEIGHT, radius, azimuth, seed)
+        above = spread_places(view, straight, fitted, FIRST_LOOKS, LOOK_HEIGHT, radius, azimuth, seed)
         _unmoved(camera, clock, move_to, view, straight, above)
-    wanted = _places(view, straight, calibration, points, height, radius, azimuth, seed)
+    wanted = spread_places(view, straight, fitted, points, height, radius, azimuth, seed, mapped)
     ruler = Unknowns(invert(T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
     offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in description.joint_names])
     places, errors, moved, before = [], [], [], []
@@ -159,16 +158,19 @@ def check_arm(
         except PlanError as error:
             progress(f"place {index} left out: {error.cause}")
             continue
-        first = _look(camera, clock, view, straight, q)
+        first = seen_beside(camera, clock, view, straight, q)
         settle()
-        beside = _look(camera, clock, view, straight, q)
+        beside = seen_beside(camera, clock, view, straight, q)
         target = view.tools(straight, q[None])[0]
+        # Sent there by a planner that knows the map, the arm was sent to where the map says that it comes down.
+        shift = np.zeros(2) if known is None else np.array(known.at((float(target[0]), float(target[1]))))
+        target[:2] += shift
         arrived(target)
         if first is None or beside is None:
             continue
         places.append(target[:2])
-        moved.append(first)
-        errors.append(beside)
+        moved.append(first - shift)
+        errors.append(beside - shift)
         # Sent to the same place by ruler, the encoders read as joints: the calibrated model says where it ends.
         blind = view.tools(Unknowns(straight.T_table_base, straight.T_tool_marker, offsets), q[None])[0]
         before.append(blind[:2] - view.tools(ruler, q[None])[0][:2] + beside)
@@ -220,7 +222,7 @@ def _unmoved(
     looks = []
     for q in poses:
         move_to(q)
-        looks.append(_look(camera, clock, view, unknowns, q))
+        looks.append(seen_beside(camera, clock, view, unknowns, q))
     seen = [float(np.linalg.norm(look)) for look in looks if look is not None]
     found = f"is seen {np.median(seen):.1f} mm from its place" if seen else "is not seen"
     if not seen or np.median(seen) > MOVED_LIMIT:
@@ -229,60 +231,3 @@ def _unmoved(
             "calibration, or it is another cell's",
             "calibrate again: controller calibrate table, then controller calibrate arm",
         )
-
-
-def _look(camera: Camera, clock: Clock, view: MarkerView, unknowns: Unknowns, q: Array) -> Array | None:
-    """How far (2,) beside its place the marker is seen once the arm is still, mm; None when it is not seen."""
-    clock.sleep(SETTLE)
-    corners = view.marker.find(camera.capture(clock.now()).image, view.camera)
-    return None if corners is None else _seen_beside(view, unknowns, q, corners)
-
-
-def _places(
-    view: MarkerView,
-    unknowns: Unknowns,
-    calibration: ArmCalibration,
-    count: int,
-    height: float,
-    radius: tuple[float, float],
-    azimuth: tuple[float, float],
-    seed: int,
-) -> list[Array]:
-    """Joint angles of places drawn evenly over ring and sector, each in a stratum of its own, far from the fit."""
-    random = np.random.default_rng(seed)
-    fitted = np.array(calibration.places).reshape(-1, 3)
-    rings = max(1, round(math.sqrt(count / 3)))
-    out: list[Array] = []
-    for attempt in range(_DRAWN):
-        if len(out) == count:
-            break
-        # Strata go round by round, so that a place that falls out is drawn again in the next stratum.
-        ring, sector = attempt % rings, (attempt // rings) % max(1, count // rings)
-        share = (ring + random.uniform()) / rings
-        far = math.sqrt(radius[0] ** 2 + share * (radius[1] ** 2 - radius[0] ** 2))
-        turn = azimuth[0] + (sector + random.uniform()) / max(1, count // rings) * (azimuth[1] - azimuth[0])
-        roll = random.uniform(-math.pi / 2, math.pi / 2) if len(view.arm.joints) > 4 else 0.0
-        place = np.array([far * math.cos(turn), far * math.sin(turn), height + view.arm.gripper.jaw_depth])
-        try:
-            q = kinematics.inverse(view.arm, place, math.pi / 2, roll)[0]
-        except Unreachable:
-            continue
-        tool = view.tools(unknowns, q[None])[0]
-        near = len(fitted) > 0 and float(np.linalg.norm(fitted - tool, axis=1).min()) < APART
-        if not near and lowest(view, q[None])[0] >= height - 1e-6 and visible(view, q[None], unknowns)[0]:
-            out.append(q)
-    if 2 * len(out) < count:
-        raise Unreachable(
-            f"only {len(out)} of {count} places can be reached and seen", "check the work area and the camera's view"
-        )
-    return out
-
-
-def _seen_beside(view: MarkerView, unknowns: Unknowns, q: Array, corners: Array) -> Array:
-    """How far (2,) the marker's middle is seen from where it was sent, along x and y of `table`, mm."""
-    points = view.in_camera(unknowns, q[None])[0]
-    expected = view.camera.project(points)
-    depth = float(points[:, 2].mean())
-    # The difference of two rays at the marker's depth, turned into the table's directions.
-    apart = (view.camera.rays(corners) - view.camera.rays(expected)).mean(axis=0) * depth
-    return np.asarray((view.T_table_camera[:3, :3] @ apart)[:2])

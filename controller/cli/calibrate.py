@@ -174,7 +174,8 @@ def arm(
     result = {"residual_mm": made.to_json()["residual_mm"], "points": made.points, "touches": made.touches}
     result |= {"sim_s": round(took, 3)}
     result |= {"calibration_id": made.calibration_id, "calibration": str(folder)}
-    details = {key: made.to_json()[key] for key in ("T_base_table", "joint_offsets", "sigma", "singular_values")}
+    shown = ("T_base_table", "joint_offsets", "sigma", "singular_values", "error_map")
+    details = {key: made.to_json()[key] for key in shown}
     _report(result | details, folder, as_json)
     return 0
 

@@ -23,6 +23,7 @@ from controller.domain.arm import (
 from controller.domain.cell import (
     Bin,
     CellCalibration,
+    ErrorMap,
 )
 from controller.domain.picking import (
     Grasp,
@@ -52,6 +53,7 @@ __all__ = [
     "CellCalibration",
     "Descriptors",
     "Detection",
+    "ErrorMap",
     "Frame",
     "Grasp",
     "GripReport",

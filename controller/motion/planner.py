@@ -68,7 +68,7 @@ class Planner:
         self._T = np.asarray(calibration.T_base_table, np.float64)
         self._eye = transform(self._T, np.asarray(calibration.T_table_camera, np.float64)[:3, 3])
         self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
-        self._postures = Postures(arm, self.gate)
+        self._postures = Postures(arm, self.gate, calibration.error_map)
         self._clear = self._postures.clear
 
     def slowed(self, share: float) -> Self:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.domain import ArmDescription, Array, Bin, Grasp, Point
+from controller.domain import ArmDescription, Array, Bin, ErrorMap, Grasp, Point
 from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
 from controller.motion import grasps
@@ -47,14 +47,16 @@ class Postures:
     Args:
         arm: The arm.
         gate: Knows where the table lies and what the jaws fit into.
+        error_map: What the tool comes down beside its aim, where that is known.
 
     Attributes:
         clear: Height of the grasp point over the table (mm) at which jaw tips and a held part pass over everything.
     """
 
-    def __init__(self, arm: ArmDescription, gate: Gate) -> None:
+    def __init__(self, arm: ArmDescription, gate: Gate, error_map: ErrorMap | None = None) -> None:
         self._arm = arm
         self._gate = gate
+        self._error_map = error_map
         self._T = gate.T_base_table
         self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
         highest = max([TALLEST_PART, *(bin_.height for bin_ in gate.bins)])
@@ -82,7 +84,8 @@ class Postures:
             Unreachable: The message says why.
         """
         arm = self._arm
-        position = transform(self._T, [point[0], point[1], height])
+        aim = point if self._error_map is None else self._error_map.aim(point)
+        position = transform(self._T, [*aim, height])
         rise = max(LIFT, self.clear - height)
         if rolls is None:
             rolls = roll_for(arm, self.azimuth(point), direction + self._yaw) or (0.0,)

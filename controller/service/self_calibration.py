@@ -22,13 +22,15 @@ from controller import __version__
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
 from controller.calibration import certificate, files
 from controller.calibration.arm import ArmCalibration, Residual
-from controller.calibration.arm_model import has_roll
+from controller.calibration.arm_model import MarkerView, has_roll
 from controller.calibration.arm_procedure import calibrate_arm
 from controller.calibration.arm_touch import Touch, push_part
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
+from controller.calibration.error_map import Area, look_around
 from controller.calibration.guided import calibrate_by_showing
 from controller.calibration.identified import load_identified
+from controller.calibration.marker import ArmMarker
 from controller.calibration.store import (
     CAMERA,
     CERTIFICATE,
@@ -131,10 +133,20 @@ def calibrate_camera_and_table(
     return lens, table
 
 
-def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progress: Say) -> ArmCalibration:
+def calibrate_arm_in(
+    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, mapped: bool = True
+) -> ArmCalibration:
     """Measure where the arm stands and how its joints are mounted, with the lens and table of `folder`; keep it there.
 
-    Blocks; moves metal: the arm shows its marker to the camera, parks and is relaxed. The table must be empty.
+    Blocks; moves metal: the arm shows its marker to the camera, touches a round part where it has no wrist roll and
+    such a part lies there, parks and is relaxed. Nothing else may lie on the table.
+
+    Args:
+        devices: Open.
+        config: The cell.
+        folder: Of the calibration.
+        progress: Takes lines for people.
+        mapped: Also map what is left of the errors over the work area: a minute more.
 
     Raises:
         CalibrationMissing: There is no lens or table in the folder.
@@ -169,6 +181,19 @@ def calibrate_arm_in(devices: Devices, config: CellConfig, folder: Path, progres
             touch=None if has_roll(devices.arm.description) else touch,
             progress=progress,
         )
+        if mapped:
+            mover.planner = _planner(devices.arm, config, cell_calibration(lens, table, made), folder)
+            made = look_around(
+                devices.arm,
+                devices.camera,
+                devices.clock,
+                mover.to,
+                mover.settle,
+                MarkerView(devices.arm.description, ArmMarker(), lens.camera, table.T_table_camera, made.T_base_table),
+                made,
+                _area(config),
+                progress=progress,
+            )
         save(folder, arm=made, provenance=_provenance(devices, config))
         mover.planner = _planner(devices.arm, config, load_calibration(folder), folder)
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
@@ -191,10 +216,18 @@ def _round_part(
     return things[0] if len(things) == 1 and things[0].shape is Shape.CIRCLE else None
 
 
-def calibrate_cell(devices: Devices, config: CellConfig, folder: Path, progress: Say) -> CellCalibration:
+def _area(config: CellConfig) -> Area:
+    area = config.table.work_area
+    low, high = np.radians(area.azimuth_deg)
+    return Area((area.inner_radius_mm, area.outer_radius_mm), (float(low), float(high)))
+
+
+def calibrate_cell(
+    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, mapped: bool = True
+) -> CellCalibration:
     """Measure lens, table and arm, and keep the calibration in `folder`; see the two steps."""
     calibrate_camera_and_table(devices, config, folder, progress)
-    calibrate_arm_in(devices, config, folder, progress)
+    calibrate_arm_in(devices, config, folder, progress, mapped=mapped)
     return load_calibration(folder)
 
 
@@ -230,7 +263,7 @@ def check_cell(
         if devices.truth is not None:
             missed.append(np.array(devices.truth.tool()) - place)
 
-    area = config.table.work_area
+    area = _area(config)
     with at_work(devices.arm, config, stored.cell(), folder) as mover:
         found = certificate.check_arm(
             devices.arm,
@@ -244,8 +277,8 @@ def check_cell(
             T_base_table=config.table.T_base_table(),
             seed=seed,
             points=points,
-            radius=(area.inner_radius_mm, area.outer_radius_mm),
-            azimuth=(float(np.radians(area.azimuth_deg[0])), float(np.radians(area.azimuth_deg[1]))),
+            radius=area.radius,
+            azimuth=area.azimuth,
             arrived=compare,
             progress=progress,
         )

@@ -288,7 +288,9 @@ class Session:
             self.options.say("calibrating the cell by showing it boards")
             began = devices.clock.now()
             devices.clear_table()
-            made = calibrate_cell(devices, self._config, folder / "calibration", self.options.say)
+            made = calibrate_cell(
+                devices, self._config, folder / "calibration", self.options.say, mapped=False
+            )
             devices.lay_parts()
             watch_landmarks(devices.camera, folder / "calibration")
             return made, devices.clock.now() - began

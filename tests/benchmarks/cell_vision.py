@@ -67,7 +67,7 @@ def look_at_cell(seed: int, parts: int, level: str, folder: Path) -> Seen:
     devices.open()
     try:
         devices.clear_table()
-        calibration = calibrate_cell(devices, config, folder / "calibration", lambda line: None)
+        calibration = calibrate_cell(devices, config, folder / "calibration", lambda line: None, mapped=False)
         devices.lay_parts()
         planner = Planner(arm, calibration, config.bin_values())
         devices.arm.follow(planner.home(devices.arm.energise().positions))

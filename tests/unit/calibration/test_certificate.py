@@ -15,7 +15,8 @@ from controller.calibration.arm_fit import Observation, fit_arm
 from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_poses import choose
 from controller.calibration.camera import CameraCalibration
-from controller.calibration.certificate import APART, FAILED, PASSED, Certificate, check_arm
+from controller.calibration.certificate import FAILED, PASSED, Certificate, check_arm
+from controller.calibration.looks import APART
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.config.arm import load_arm
