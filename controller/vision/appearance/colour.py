@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,17 +152,17 @@ def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32,
 
 def _samples(surface: Tiles) -> NDArray[np.uint8]:
     """SAMPLES pixels (N, n, 3) of each part's material, spread evenly, without glare unless there is little else."""
-    codes = surface.planes.reshape(-1, 3, SIDE * SIDE)
+    codes = surface.shown.reshape(-1, 3)
     chosen = surface.material.reshape(-1, SIDE * SIDE)
-    bright = codes >= _GLARE
-    matt = chosen & ~(bright[:, 0] & bright[:, 1] & bright[:, 2])
+    bright = cv2.inRange(surface.shown.reshape(-1, SIDE, 3), (_GLARE,) * 4, (255,) * 4).reshape(chosen.shape)
+    matt = chosen & (bright == 0)
     dull = 2 * counts(matt) >= counts(chosen)
     chosen = np.where(dull[:, None], matt, chosen)
-    # Row by row the places of the chosen pixels, first those that are.
-    places = np.argsort(~chosen, axis=1, kind="stable")
-    ranks = np.arange(SAMPLES) * counts(chosen)[:, None] // SAMPLES
-    picked = np.take_along_axis(places, ranks, axis=1)
-    return np.asarray(codes[np.arange(len(codes))[:, None], :, picked], np.uint8)
+    places = np.flatnonzero(chosen)
+    count = counts(chosen)
+    first = np.cumsum(count) - count
+    ranks = np.arange(SAMPLES) * count[:, None] // SAMPLES
+    return np.take(codes, places[first[:, None] + ranks], axis=0)
 
 
 def _medians(lab: Floats32) -> Floats32:
@@ -172,26 +173,29 @@ def _medians(lab: Floats32) -> Floats32:
 
 def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
     """Which parts (N, SAMPLES, 3) may have two colours, and which of their samples are on one side of the divide."""
-    rest = lab - lab.mean(axis=1, keepdims=True)
-    covariance = rest.transpose(0, 2, 1) @ rest / SAMPLES
     # One colour, noise and shading included, spreads less than two that could be told apart.
     least = _SECOND_SHARE * (1.0 - _SECOND_SHARE) * _APART**2
+    mean = np.einsum("nsk->nk", lab) / np.float32(SAMPLES)
     # The sum of the three spreads bounds the largest.
-    chosen = np.flatnonzero(np.trace(covariance, axis1=1, axis2=2) > least)
-    spreads, axes = np.linalg.eigh(covariance[chosen])
+    total = np.einsum("nsk,nsk->n", lab, lab) / np.float32(SAMPLES) - np.einsum("nk,nk->n", mean, mean)
+    chosen = np.flatnonzero(total > least)
+    rest = lab[chosen] - mean[chosen][:, None]
+    spreads, axes = np.linalg.eigh(rest.transpose(0, 2, 1) @ rest / SAMPLES)
     wide = spreads[:, 2] > least
     chosen = chosen[wide]
     if not len(chosen):
         return []
-    along = (rest[chosen] @ axes[wide][:, :, 2:])[:, :, 0]
-    cut = np.zeros((len(chosen), 1), np.float32)
+    along = (rest[wide] @ axes[wide][:, :, 2:])[:, :, 0]
+    upper = along > 0.0
     for _ in range(6):
-        upper = along > cut
-        count = np.count_nonzero(upper, axis=1)[:, None]
-        above = (along * upper).sum(axis=1, keepdims=True)
-        below = along.sum(axis=1, keepdims=True) - above
-        cut = 0.5 * (above / np.maximum(count, 1) + below / np.maximum(SAMPLES - count, 1))
-    upper = along > cut
+        count = np.count_nonzero(upper, axis=1)
+        # Their mean is 0: what is missing on one side is on the other.
+        above = np.einsum("ns,ns->n", along, upper)
+        cut = 0.5 * above * (1.0 / np.maximum(count, 1) - 1.0 / np.maximum(SAMPLES - count, 1))
+        moved = along > cut[:, None]
+        if np.array_equal(moved, upper):
+            break
+        upper = moved
     return list(zip((int(k) for k in chosen), upper, strict=True))
 
 

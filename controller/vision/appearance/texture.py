@@ -15,11 +15,13 @@ import math
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.appearance.hole import counts
 from controller.vision.appearance.naming import Namer, load
 from controller.vision.appearance.tiles import SIDE, Tiles
 
@@ -37,85 +39,82 @@ LENGTH = len(BANDS) + 1 + 2 + 6 + _PATTERNS * 2
 
 def descriptors(surface: Tiles) -> Floats32:
     """(N, LENGTH) texture descriptors of tiles."""
-    count = len(surface.planes)
+    count = len(surface.shown)
     if not count:
         return np.empty((0, LENGTH), np.float32)
-    inside = surface.material.astype(np.float32)
-    shades = _shades(surface.planes, inside)
-    weight = np.maximum(_sums(inside), 1.0)
-    deep = _deep(surface.material)
+    # From here on tiles stand side by side, (SIDE, N, SIDE): long rows are what OpenCV and BLAS are quick on.
+    shades = _side_by_side(_shades(surface))
+    weight = np.maximum(counts(surface.material), 1).astype(np.float32)
+    deep = _deep(_side_by_side(surface.material.view(np.uint8)))
     deep_weight = np.maximum(_sums(deep), 1.0)
-    total = np.sqrt(_dot(shades, shades) / weight)
+    square = shades * shades
+    total = np.sqrt(_sums(square) / weight)
     columns = [np.log(total + FLOOR)]
     blurred = [shades, *_blurred(shades)]
     for fine, coarse in pairwise(blurred):
         band = fine - coarse
         columns.append(np.log(np.sqrt(_dot(band * band, deep) / deep_weight) + FLOOR))
-    unit = np.asarray(shades / (total + np.float32(FLOOR))[:, None, None], np.float32)
-    square = unit * unit
-    columns.append(_dot(square, unit) / weight)
-    columns.append(np.log1p(_dot(square, square) / weight))
+    unit = np.float32(1.0) / (total + np.float32(FLOOR))
+    columns.append(_dot(square, shades) * unit**3 / weight)
+    columns.append(np.log1p(_dot(square, square) * unit**4 / weight))
     # What was blurred is looked at on every second pixel: it has no finer detail.
-    halves = [np.ascontiguousarray(blurred[level][:, ::2, ::2]) for level in (2, 3)]
-    deep_half = np.ascontiguousarray(deep[:, ::2, ::2])
+    halves = np.concatenate([blurred[level][::2, :, ::2] for level in (2, 3)], axis=1)
+    deep_half = np.ascontiguousarray(deep[::2, :, ::2])
     columns += _agreement(blurred[1], deep)
-    for half in halves:
-        columns += _agreement(half, deep_half)
+    both = _agreement(halves, np.concatenate([deep_half, deep_half], axis=1))
+    columns += [share[some] for some in (slice(None, count), slice(count, None)) for share in both]
     columns += _histograms(blurred[1], total, deep)
-    columns += _histograms(halves[0], total, deep_half)
+    columns += _histograms(halves[:, :count], total, deep_half)
     return np.stack(columns, axis=1).astype(np.float32)
 
 
+def _side_by_side(tiles: NDArray[Any]) -> NDArray[Any]:
+    """Tiles (N, SIDE, SIDE) as (SIDE, N, SIDE), each flipped over its diagonal: nothing here minds that."""
+    return np.ascontiguousarray(tiles.transpose(2, 0, 1))
+
+
 def _sums(values: Floats32) -> Floats32:
-    """(N,) sums over tiles (N, SIDE, SIDE)."""
-    return np.asarray(np.einsum("nij->n", values), np.float32)
+    """(N,) sums over tiles (h, N, w)."""
+    return np.asarray(np.einsum("inj->n", values), np.float32)
 
 
 def _dot(a: Floats32, b: Floats32) -> Floats32:
-    """(N,) sums of products over tiles (N, SIDE, SIDE)."""
-    return np.asarray(np.einsum("nij,nij->n", a, b), np.float32)
+    """(N,) sums of products over tiles (h, N, w)."""
+    return np.asarray(np.einsum("inj,inj->n", a, b), np.float32)
 
 
-def _deep(material: NDArray[np.bool_]) -> Floats32:
-    """1 where what is computed from a neighbourhood stays within the material and the tile, else 0."""
-    tall = np.ascontiguousarray(material.reshape(-1, SIDE).view(np.uint8))
-    eroded = cv2.erode(tall, np.ones((3, 3), np.uint8))
-    deep = np.asarray(eroded, np.float32).reshape(material.shape)
-    # Tiles stand on one another when patterns are read: no row near another tile counts.
+def _deep(material: NDArray[np.uint8]) -> Floats32:
+    """1 where what is computed from a neighbourhood stays within the material (SIDE, N, SIDE) and the tile, else 0."""
+    deep = np.asarray(cv2.erode(material.reshape(SIDE, -1), np.ones((3, 3), np.uint8)), np.float32)
+    deep = deep.reshape(material.shape)
+    # Tiles stand beside one another when patterns are read: no column near another tile counts.
     reach = 2 * math.ceil(RADIUS)
-    deep[:, :reach] = 0.0
-    deep[:, -reach:] = 0.0
-    deep[:, :, [0, -1]] = 0.0
+    deep[:, :, :reach] = 0.0
+    deep[:, :, -reach:] = 0.0
+    deep[[0, -1]] = 0.0
     return deep
 
 
 def _gaussians() -> Floats32:
-    """(SIDE, len(BANDS) * SIDE): a tile's row times this is the row blurred by each of BANDS, mirrored at its ends."""
+    """(len(BANDS), SIDE, SIDE): a tile's row times one is the row blurred by that band, mirrored at its ends."""
     place = np.arange(SIDE)
-    blocks = []
-    for sigma in BANDS:
-        far = np.arange(-SIDE, 2 * SIDE)
-        weights = np.exp(-0.5 * ((far[:, None] - place) / sigma) ** 2)
-        mirrored = np.abs(far)
-        mirrored = np.where(mirrored > SIDE - 1, 2 * (SIDE - 1) - mirrored, mirrored)
-        matrix = np.zeros((SIDE, SIDE))
-        np.add.at(matrix, mirrored, weights)
-        blocks.append(matrix / matrix.sum(axis=0))
-    return np.concatenate(blocks, axis=1).astype(np.float32)
+    far = np.arange(-SIDE, 2 * SIDE)
+    mirrored = np.abs(far)
+    mirrored = np.where(mirrored > SIDE - 1, 2 * (SIDE - 1) - mirrored, mirrored)
+    out = np.zeros((len(BANDS), SIDE, SIDE))
+    for k, sigma in enumerate(BANDS):
+        np.add.at(out[k], mirrored, np.exp(-0.5 * ((far[:, None] - place) / sigma) ** 2))
+    return np.asarray(out / out.sum(axis=1, keepdims=True), np.float32)
 
 
 _GAUSSIANS = _gaussians()
+_DOWN = np.ascontiguousarray(_GAUSSIANS.transpose(0, 2, 1)).reshape(-1, SIDE)
 
 
-def _blurred(shades: Floats32) -> list[Floats32]:
-    """The tiles (N, SIDE, SIDE) blurred by each of BANDS."""
-    count = len(shades)
-    across = (shades.reshape(-1, SIDE) @ _GAUSSIANS).reshape(count, SIDE, len(BANDS), SIDE)
-    out = []
-    for k in range(len(BANDS)):
-        down = _GAUSSIANS[:, k * SIDE : (k + 1) * SIDE].T
-        out.append(np.ascontiguousarray(down @ across[:, :, k]))
-    return out
+def _blurred(shades: Floats32) -> Floats32:
+    """(len(BANDS), SIDE, N, SIDE): the tiles (SIDE, N, SIDE) blurred by each of BANDS."""
+    down = (_DOWN @ shades.reshape(SIDE, -1)).reshape(len(BANDS), -1, SIDE)
+    return np.asarray((down @ _GAUSSIANS).reshape(len(BANDS), *shades.shape), np.float32)
 
 
 def _plane() -> Floats32:
@@ -130,35 +129,42 @@ _PLANE = _plane()
 _PLANE_PRODUCTS = (_PLANE[:, None] * _PLANE[None]).reshape(9, -1)
 
 
-def _shades(planes: NDArray[np.uint8], inside: Floats32) -> Floats32:
+def _shades(surface: Tiles) -> Floats32:
     """(N, SIDE, SIDE) of how far each pixel is from its part's mean along the main variation, 1 = full range.
 
     Slow shading, a plane across the part, is taken out; outside the material it is 0.
     """
-    count = len(planes)
-    weight = np.maximum(_sums(inside), 1.0)
-    values = planes.reshape(count, 3, -1).astype(np.float32)
-    keep = inside.reshape(count, -1)
-    mean = (values @ keep[:, :, None]) / weight[:, None, None]
-    values -= mean
-    values *= (keep / np.float32(255.0))[:, None]
-    covariance = values @ values.transpose(0, 2, 1) / weight[:, None, None]
+    count = len(surface.shown)
+    keep = surface.material.reshape(count, -1).astype(np.float32)
+    weight = np.maximum(keep.sum(axis=1), 1.0)
+    # (3, N, SIDE * SIDE): blue, green and red.
+    values = np.array(cv2.split(surface.shown.reshape(-1, SIDE, 3)), np.float32).reshape(3, count, -1)
+    mean = (values.transpose(1, 0, 2) @ keep[:, :, None])[:, :, 0].T / weight
+    values -= mean[:, :, None]
+    values *= keep / np.float32(255.0)
+    # The weights do not matter to the axes.
+    covariance = np.zeros((count, 3, 3), np.float32)
+    for a, b in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)):
+        covariance[:, a, b] = np.einsum("ni,ni->n", values[a], values[b])
+    # Of a symmetric matrix only the lower half is looked at.
     _, axes = np.linalg.eigh(covariance)
-    along = (axes[:, :, 2][:, None] @ values)[:, 0]
+    along = (axes[:, None, :, 2] @ values.transpose(1, 0, 2))[:, 0]
     # `along` is 0 outside the material, and the mean was taken off: only the normal matrix needs the weights.
     normal = (keep @ _PLANE_PRODUCTS.T).reshape(count, 3, 3) + 1e-3 * np.eye(3, dtype=np.float32)
-    plane = np.linalg.solve(normal, (along @ _PLANE.T)[:, :, None])[:, :, 0]
-    along = np.asarray((along - plane @ _PLANE) * keep, np.float32)
-    skew = np.einsum("ni,ni,ni->n", along, along, along)
-    return np.asarray((along * np.where(skew < 0.0, -1.0, 1.0)[:, None]).reshape(inside.shape), np.float32)
+    plane = np.linalg.solve(normal, (along @ _PLANE.T)[:, :, None])[:, :, 0].astype(np.float32)
+    along -= plane @ _PLANE
+    along *= keep
+    skew = np.einsum("ni,ni->n", along * along, along)
+    along *= np.where(skew < 0.0, np.float32(-1.0), np.float32(1.0))[:, None]
+    return np.asarray(along, np.float32).reshape(-1, SIDE, SIDE)
 
 
 def _agreement(values: Floats32, deep: Floats32) -> list[Floats32]:
-    """How much gradients share one axis, and one pair of axes, 0 to 1."""
+    """How much gradients of tiles (h, N, w) share one axis, and one pair of axes, 0 to 1."""
     dx = np.zeros_like(values)
     dy = np.zeros_like(values)
     np.subtract(values[:, :, 2:], values[:, :, :-2], out=dx[:, :, 1:-1])
-    np.subtract(values[:, 2:], values[:, :-2], out=dy[:, 1:-1])
+    np.subtract(values[2:], values[:-2], out=dy[1:-1])
     square = dx * dx - dy * dy
     cross = 2.0 * dx * dy
     squared, crossed = square * square, cross * cross
@@ -196,11 +202,11 @@ _LEAST_STEP = 0.15
 
 def _histograms(values: Floats32, total: Floats32, deep: Floats32) -> list[Floats32]:
     """Roots of the shares of rotation-invariant uniform patterns 0 to 9, each (N,), where `deep` is not 0."""
-    count, side = len(values), values.shape[1]
-    tall = values.reshape(-1, side)
-    least = np.repeat(_LEAST_STEP * (total + FLOOR), side)[:, None].astype(np.float32)
+    side, count, _ = values.shape
+    wide = values.reshape(side, -1)
+    least = np.repeat(_LEAST_STEP * (total + FLOOR), side).astype(np.float32)
     bits = [
-        (cv2.filter2D(tall, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) > least).view(np.uint8)
+        (cv2.filter2D(wide, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) > least).view(np.uint8)
         for kernel in _CIRCLE
     ]
     ones = bits[0].copy()
@@ -208,8 +214,12 @@ def _histograms(values: Floats32, total: Floats32, deep: Floats32) -> list[Float
     for a, b in pairwise(bits):
         ones += b
         changes += a ^ b
-    codes = np.where(changes <= 2, ones, np.uint8(9)).reshape(count, -1) + np.arange(count)[:, None] * _PATTERNS
-    shares = np.bincount(codes[deep.reshape(count, -1) > 0.0], minlength=count * _PATTERNS).reshape(count, _PATTERNS)
+    # One more bin for what does not count.
+    bins = _PATTERNS + 1
+    np.putmask(ones, changes > 2, np.uint8(9))
+    np.putmask(ones, deep.reshape(side, -1) == 0.0, np.uint8(_PATTERNS))
+    codes = ones + np.repeat(np.arange(count) * bins, side)
+    shares = np.bincount(codes.ravel(), minlength=count * bins).reshape(count, bins)[:, :_PATTERNS]
     return list(np.sqrt(shares / np.maximum(_sums(deep), 1.0)[:, None]).astype(np.float32).T)
 
 

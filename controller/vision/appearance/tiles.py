@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Detection
-from controller.vision.appearance.hole import blobs_like_table, counts
+from controller.vision.appearance.hole import blob_like_table, counts, like_table, may_show_table
+from controller.vision.appearance.rings import SHIFT, Rings
 from controller.vision.appearance.surroundings import surroundings
 
 Image = NDArray[np.uint8]
@@ -35,6 +36,7 @@ _FEW = 12
 """Fewer pixels say nothing of a surface."""
 _NARROWEST = 3.0
 """px of the frame."""
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,20 +46,22 @@ class Tiles:
     Attributes:
         which: Index of each among the detections.
         detections: The parts.
-        planes: ndarray of shape (N, 3, SIDE, SIDE), dtype uint8: blue, green and red.
+        shown: ndarray of shape (N, SIDE, SIDE, 3), dtype uint8, BGR.
         solid: ndarray of shape (N, SIDE, SIDE), dtype bool: where the part is.
         material: ndarray of shape (N, SIDE, SIDE), dtype bool: where its material is seen, away from edges and holes.
         table: ndarray of shape (N, 3), dtype float32: BGR codes of the empty table around each.
         holed: Of each whether the table shows through it.
+        alike: ndarray of shape (N, 2, 3): lowest and highest BGR codes that show the table.
     """
 
     which: tuple[int, ...]
     detections: tuple[Detection, ...]
-    planes: Image
+    shown: Image
     solid: NDArray[np.bool_]
     material: NDArray[np.bool_]
     table: Floats32
     holed: tuple[bool, ...]
+    alike: Floats32
 
 
 def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
@@ -70,43 +74,48 @@ def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
     which = [k for k, item in enumerate(detections) if min(item.bbox_px[2:]) >= _NARROWEST]
     chosen = [detections[k] for k in which]
     count = len(chosen)
+    rings = Rings(chosen)
+    middles = np.array([item.center_px for item in chosen]).reshape(-1, 2)
+    scales = np.array([SIDE / (WINDOW * math.sqrt(max(item.area_px, 1.0))) for item in chosen])
+    rims = np.array([max(_LEAST_RIM, _RIM * item.size_px[1]) for item in chosen]) * scales
     shown = np.empty((count, SIDE, SIDE, 3), np.uint8)
     solid = np.zeros((count, SIDE, SIDE), np.uint8)
-    limit = np.array(image.shape[1::-1]) - 1.0
-    rims = np.empty(count)
-    for k, item in enumerate(chosen):
-        scale = SIDE / (WINDOW * math.sqrt(max(item.area_px, 1.0)))
-        _show(image, item, scale, shown[k])
-        ring = (np.clip(item.outline_px, 0.0, limit) - item.center_px) * scale + _MIDDLE
-        cv2.fillPoly(solid[k], [np.rint(ring * 16.0).astype(np.int32)[:, None]], (255,), shift=4)
-        rims[k] = scale * max(_LEAST_RIM, _RIM * item.size_px[1])
-    table = surroundings(image, chosen)
-    planes = np.ascontiguousarray(shown.transpose(0, 3, 1, 2))
-    material = _eroded(solid, np.clip(np.rint(rims).astype(int), 1, _MOST_RIM)) > 0
-    whole = solid > 0
-    enough = counts(material) >= _FEW
-    material[~enough] = whole[~enough]
-    holes = blobs_like_table(planes, material, table, ["hole" in item.flags for item in chosen])
-    found = counts(holes) > 0
-    for k in (int(k) for k in np.flatnonzero(found)):
-        whole[k] &= ~holes[k]
-        clear = material[k] & (cv2.dilate(holes[k].view(np.uint8), np.ones((3, 3), np.uint8)) == 0)
-        material[k] = clear if np.count_nonzero(clear) >= _FEW else material[k] & ~holes[k]
-    keep = np.flatnonzero((counts(whole) >= _FEW) & (counts(material) > 0))
+    # Where the middle of a tile lies is where the middle of its part does.
+    corners = middles - _MIDDLE / scales[:, None]
+    outlines = rings.drawn(corners, scales, within=(image.shape[1], image.shape[0]))
+    for k, (outline, scale) in enumerate(zip(outlines, scales.tolist(), strict=True)):
+        _show(image, chosen[k].center_px, scale, shown[k])
+        cv2.fillPoly(solid[k], [outline], (255,), shift=SHIFT)
+    table = surroundings(image, chosen, rings)
+    material = _eroded(solid, np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))
+    enough = counts(material > 0) >= _FEW
+    material[~enough] = solid[~enough]
+    holed = np.zeros(count, bool)
+    alike = like_table(shown, material > 0, table, ["hole" in item.flags for item in chosen])
+    for k in np.flatnonzero(may_show_table(shown, material > 0, alike)).tolist():
+        hole = blob_like_table(shown[k], material[k], alike[k])
+        if hole is not None:
+            holed[k] = True
+            solid[k] &= ~hole
+            clear = material[k] & ~np.asarray(cv2.dilate(hole, _NEIGHBOURS), np.uint8)
+            material[k] = clear if cv2.countNonZero(clear) >= _FEW else material[k] & ~hole
+    inside = material > 0
+    keep = np.flatnonzero((counts(solid > 0) >= _FEW) & (counts(inside) > 0))
     return Tiles(
         tuple(which[k] for k in keep),
         tuple(chosen[k] for k in keep),
-        planes[keep],
-        whole[keep],
-        material[keep],
+        shown[keep],
+        solid[keep] > 0,
+        inside[keep],
         table[keep],
-        tuple(bool(found[k]) for k in keep),
+        tuple(bool(holed[k]) for k in keep),
+        alike[keep],
     )
 
 
-def _show(image: Image, item: Detection, scale: float, out: Image) -> None:
+def _show(image: Image, middle: tuple[float, float], scale: float, out: Image) -> None:
     """Bring a part's surroundings to a tile."""
-    x, y = item.center_px
+    x, y = middle
     reduce = int(1.0 / scale)
     if reduce > 1:
         # Averaged first: a warp that skips pixels would fold fine textures into coarse ones.
@@ -126,11 +135,12 @@ def _show(image: Image, item: Detection, scale: float, out: Image) -> None:
 def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> NDArray[np.uint8]:
     """The masks (N, SIDE, SIDE) with each rim taken off, px; what a tile's edge cuts counts as going on."""
     out = np.empty_like(masks)
-    padded = np.full((len(masks), SIDE + 2 * _MOST_RIM, SIDE), 255, np.uint8)
-    padded[:, _MOST_RIM:-_MOST_RIM] = masks
-    for rim in np.unique(rims):
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(rim) + 1,) * 2)
-        thin = np.asarray(cv2.erode(padded.reshape(-1, SIDE), kernel), np.uint8).reshape(padded.shape)
+    # Side by side, (SIDE, N, SIDE + gap): long rows are what OpenCV is quick on.
+    padded = np.full((SIDE, len(masks), SIDE + 2 * _MOST_RIM), 255, np.uint8)
+    padded[:, :, _MOST_RIM:-_MOST_RIM] = masks.transpose(1, 0, 2)
+    for rim in set(rims.tolist()):
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2)
+        thin = np.asarray(cv2.erode(padded.reshape(SIDE, -1), kernel), np.uint8).reshape(padded.shape)
         own = rims == rim
-        out[own] = thin[own, _MOST_RIM:-_MOST_RIM]
+        out[own] = thin[:, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2)
     return out

@@ -61,28 +61,36 @@ class Classifier:
         raw = np.concatenate(list(views.values()) or [np.empty((0, LENGTH), np.float32)])
         self._scale = _scale(list(views.values()))
         # What a view says nothing of counts neither for nor against.
-        self._says = np.isfinite(raw)
-        self._views = np.where(self._says, raw, np.float32(0.0)) * self._scale
+        says = np.isfinite(raw)
+        self._says = np.ascontiguousarray(says.T, np.float32)
+        self._views = np.where(says, raw, np.float32(0.0)) * self._scale
+        self._lengths = (self._views * self._views).sum(axis=1)
+        self._starts = np.searchsorted(self._owner, np.arange(len(self.names)))
         self.reach = np.array([self._reach(k) for k in range(len(self.names))])
 
     def verdicts(self, values: Floats32) -> list[Verdict | None]:
         """A verdict for each feature vector (m, LENGTH); None when nothing was taught."""
         if not self.names or not len(values):
             return [None] * len(values)
-        return [self._verdict(row) for row in self._to_classes(values * self._scale, None)]
+        return list(self._decided(self._to_classes(values * self._scale, None)))
 
-    def _verdict(self, near: NDArray[np.float64]) -> Verdict:
-        """What distances (classes,) to the nearest view of each class say."""
-        best = int(near.argmin())
-        distance = float(near[best] / self.reach[best])
-        others = np.delete(near, best)
-        known = distance <= 1.0 and bool(not len(others) or near[best] < _CLEAR * others.min())
-        return Verdict(self.names[best] if known else None, distance, self.names[best], float(0.5 ** (distance**2)))
+    def _decided(self, near: NDArray[np.float64]) -> list[Verdict]:
+        """What distances (m, classes) to the nearest view of each class say."""
+        at = np.arange(len(near))
+        best = near.argmin(axis=1)
+        first = near[at, best]
+        distance = first / self.reach[best]
+        others = near.copy()
+        others[at, best] = np.inf
+        known = (distance <= 1.0) & (first < _CLEAR * others.min(axis=1))
+        score = 0.5 ** (distance**2)
+        rows = zip(best.tolist(), distance.tolist(), known.tolist(), score.tolist(), strict=True)
+        return [Verdict(self.names[k] if sure else None, far, self.names[k], rated) for k, far, sure, rated in rows]
 
     def left_out(self) -> list[tuple[str, Verdict]]:
         """For every view its class, and the verdict on it by all views but itself (cross-validation, one out)."""
         near = self._to_classes(self._views, np.arange(len(self._views)))
-        return [(self.names[owner], self._verdict(row)) for row, owner in zip(near, self._owner, strict=True)]
+        return [(self.names[k], verdict) for k, verdict in zip(self._owner, self._decided(near), strict=True)]
 
     def twins(self) -> dict[str, frozenset[str]]:
         """For each class the others that differ from it by nothing but what is on its surface."""
@@ -104,12 +112,13 @@ class Classifier:
 
     def _to_classes(self, scaled: Floats32, own: NDArray[np.intp] | None) -> NDArray[np.float64]:
         """(m, classes): distance to the nearest view of each class; `own` are rows to leave out."""
-        squared = (scaled**2) @ self._says.T.astype(np.float32) + (self._views**2).sum(axis=1)
-        squared -= 2.0 * scaled @ self._views.T
-        distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
+        squared = (scaled * scaled) @ self._says + self._lengths
+        squared -= (scaled * np.float32(2.0)) @ self._views.T
         if own is not None:
-            distance[np.arange(len(own)), own] = np.inf
-        return np.stack([distance[:, self._owner == k].min(axis=1) for k in range(len(self.names))], axis=1)
+            squared[np.arange(len(own)), own] = np.inf
+        # Views of one class follow one another.
+        nearest = np.minimum.reduceat(squared, self._starts, axis=1)
+        return np.sqrt(np.maximum(nearest, 0.0)).astype(np.float64)
 
     def _reach(self, k: int) -> float:
         """How far from the nearest view of a class its parts may lie."""

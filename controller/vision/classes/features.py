@@ -18,7 +18,7 @@ from controller.geometry import PlaneMap
 from controller.vision.appearance.look import Surfaces
 from controller.vision.appearance.texture import LENGTH as TEXTURE_LENGTH
 from controller.vision.appearance.tiles import SIDE, WINDOW, Tiles
-from controller.vision.classes.silhouette import Silhouette, silhouette
+from controller.vision.classes.silhouette import Silhouette, silhouettes
 
 Floats32 = NDArray[np.float32]
 
@@ -61,15 +61,10 @@ def features(detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMa
         return np.empty((0, LENGTH), np.float32)
     chosen = [detections[k] for k in surfaces.which]
     seen = surfaces.tiles
-    silhouettes = [
-        silhouette(surfaces.image, item, table, holed)
-        for item, table, holed in zip(chosen, seen.table, seen.holed, strict=True)
-    ]
-    # Two samples a ring, averaged: an edge that crosses a ring moves the figure evenly.
-    grids = np.stack([_circles(item, form) for item, form in zip(chosen, silhouettes, strict=True)])
-    polar = np.asarray((grids[:, :, ::2] + grids[:, :, 1::2].astype(np.float32)) / 510.0, np.float32)
-    outline = _strengths(polar, _OUTLINE_WAVES, _HARMONICS)
-    form = np.array([_form(item, form) for item, form in zip(chosen, silhouettes, strict=True)])
+    forms = silhouettes(surfaces.image, seen)
+    grids = np.stack([_circles(item, form) for item, form in zip(chosen, forms, strict=True)])
+    outline = _strengths(_OUTLINE_WAVES @ grids.astype(np.float32) @ _PAIRS, _HARMONICS)
+    form = np.array([_form(item, form) for item, form in zip(chosen, forms, strict=True)])
     size = np.log(np.sqrt([max(item.area_px, 1.0) for item in chosen]) * _scales(chosen, plane))
     colour = np.array([seen.lab for seen in surfaces.colours])
     parts = (outline, form, size[:, None], colour, surfaces.textures, _print(seen))
@@ -83,13 +78,14 @@ def _waves(angles: int, harmonics: int) -> Floats32:
 
 
 _OUTLINE_WAVES = _waves(_ANGLES, _HARMONICS)
-_PRINT_WAVES = _waves(_ANGLES // 2, _PRINT_HARMONICS)
+# Two samples a ring, averaged: an edge that crosses a ring moves the figure evenly.
+_PAIRS = np.repeat(np.eye(_RINGS, dtype=np.float32), 2, axis=0) / np.float32(2.0 * 255.0)
 
 
-def _strengths(polar: Floats32, waves: Floats32, harmonics: int) -> Floats32:
-    """(n, harmonics * rings): how strong each harmonic is on each ring of polar grids (n, angles, rings)."""
-    both = waves @ polar
-    return np.asarray(np.hypot(both[:, :harmonics], both[:, harmonics:]).reshape(len(polar), -1), np.float32)
+def _strengths(waves: Floats32, harmonics: int) -> Floats32:
+    """(n, harmonics * rings): how strong each harmonic is on each ring, of cosine and sine shares (n, 2 h, rings)."""
+    even, odd = waves[:, :harmonics], waves[:, harmonics:]
+    return np.sqrt(even * even + odd * odd).reshape(len(waves), -1)
 
 
 def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[np.float64]:
@@ -105,11 +101,11 @@ def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[
 
 def _circles(item: Detection, form: Silhouette) -> NDArray[np.uint8]:
     """(ANGLES, 2 * RINGS): how much of the part lies at each place of a polar grid, 0 to 255."""
-    x, y = (c - o for c, o in zip(item.center_px, form.corner, strict=True))
+    (x, y), (left, top) = item.center_px, form.corner
     reach = _REACH * math.sqrt(max(item.area_px, 1.0))
     # Without the flag, what lies outside the cut would be whatever the memory held.
     how = cv2.WARP_POLAR_LINEAR | cv2.WARP_FILL_OUTLIERS
-    return np.asarray(cv2.warpPolar(form.solid, (2 * _RINGS, _ANGLES), (x, y), reach, how), np.uint8)
+    return np.asarray(cv2.warpPolar(form.solid, (2 * _RINGS, _ANGLES), (x - left, y - top), reach, how), np.uint8)
 
 
 def _form(item: Detection, form: Silhouette) -> tuple[float, float, float]:
@@ -119,23 +115,26 @@ def _form(item: Detection, form: Silhouette) -> tuple[float, float, float]:
     return math.log(max(long, 1.0) / max(short, 1.0)), item.area_px / max(hull, 1.0), form.hole
 
 
-def _sampling() -> tuple[NDArray[np.intp], Floats32]:
-    """Pixels of a tile (4, places) and their weights that a polar grid of ANGLES / 2 x PRINT_RINGS reads."""
+def _print_waves() -> Floats32:
+    """(SIDE * SIDE, 2 * PRINT_HARMONICS * PRINT_RINGS): a tile's pixels times this are the shares of the harmonics.
+
+    Pixels are read between their middles on circles, up to where a square ends along its sides.
+    """
+    waves = _waves(_ANGLES // 2, _PRINT_HARMONICS)
     angle = np.arange(_ANGLES // 2) * 4.0 * math.pi / _ANGLES
-    # Circles up to where a square ends along its sides.
     radius = (np.arange(_PRINT_RINGS) + 0.5) / _PRINT_RINGS * 0.5 * SIDE / WINDOW
     middle = (SIDE - 1) / 2.0
-    x = (middle + np.cos(angle)[:, None] * radius).ravel()
-    y = (middle + np.sin(angle)[:, None] * radius).ravel()
-    i, j = np.floor(y).astype(np.intp), np.floor(x).astype(np.intp)
+    out = np.zeros((SIDE, SIDE, len(waves), _PRINT_RINGS))
+    x, y = middle + np.cos(angle)[:, None] * radius, middle + np.sin(angle)[:, None] * radius
+    i, j = np.floor(y).astype(int), np.floor(x).astype(int)
     u, v = y - i, x - j
-    places = np.stack([i * SIDE + j, i * SIDE + j + 1, (i + 1) * SIDE + j, (i + 1) * SIDE + j + 1])
-    weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v])
-    return places, weights.astype(np.float32)
+    for di, dj, share in ((0, 0, (1 - u) * (1 - v)), (0, 1, (1 - u) * v), (1, 0, u * (1 - v)), (1, 1, u * v)):
+        for ring in range(_PRINT_RINGS):
+            np.add.at(out[:, :, :, ring], (i[:, ring] + di, j[:, ring] + dj), (waves * share[:, ring]).T)
+    return out.reshape(SIDE * SIDE, -1).astype(np.float32)
 
 
-_PLACES, _WEIGHTS = _sampling()
-_GRAY = np.array([[0.114, 0.587, 0.299]], np.float32)
+_PRINT_WAVES = _print_waves()
 
 
 def _print(surface: Tiles) -> Floats32:
@@ -143,10 +142,11 @@ def _print(surface: Tiles) -> Floats32:
 
     Brightness is relative to the part's mean, and counts only on its material: light and edges leave it alone.
     """
-    count = len(surface.planes)
+    count = len(surface.shown)
     inside = surface.material.reshape(count, -1).astype(np.float32)
-    values = (_GRAY @ surface.planes.reshape(count, 3, -1).astype(np.float32))[:, 0]
-    mean = (values * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1.0)
+    shown = surface.shown.reshape(-1, SIDE, 3).astype(np.float32)
+    values = np.asarray(cv2.cvtColor(shown, cv2.COLOR_BGR2GRAY), np.float32).reshape(count, -1)
+    mean = np.einsum("ni,ni->n", values, inside) / np.maximum(inside.sum(axis=1), 1.0)
     relative = (values / np.maximum(mean, 8.0)[:, None] - 1.0) * inside
-    grid = (relative[:, _PLACES] * _WEIGHTS).sum(axis=1).reshape(count, _ANGLES // 2, _PRINT_RINGS)
-    return _strengths(grid, _PRINT_WAVES, _PRINT_HARMONICS)
+    waves = (relative @ _PRINT_WAVES).reshape(count, -1, _PRINT_RINGS)
+    return _strengths(waves, _PRINT_HARMONICS)

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import Detection
-from controller.vision.appearance.hole import blobs_like_table
+from controller.vision.appearance.hole import blob_like_table
+from controller.vision.appearance.rings import SHIFT, Rings
+from controller.vision.appearance.tiles import Tiles
 
 _RIM = 0.07
 """Holes are looked for this share of the short side inside the outline."""
@@ -30,31 +31,34 @@ class Silhouette:
     hole: float
 
 
-def silhouette(
-    image: NDArray[np.uint8], item: Detection, table: NDArray[np.float32], holed: bool
-) -> Silhouette:
-    """The silhouette of a detection.
+def silhouettes(image: NDArray[np.uint8], surface: Tiles) -> list[Silhouette]:
+    """The silhouettes of parts.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8, BGR: the frame.
-        item: The part.
-        table: BGR codes (3,) of the table around it.
-        holed: Whether there is a hole to look for.
+        surface: The parts.
     """
+    detections = surface.detections
     height, width = image.shape[:2]
-    x, y, w, h = item.bbox_px
-    left, top = max(int(x) - 1, 0), max(int(y) - 1, 0)
-    right, low = min(int(x + w) + 3, width), min(int(y + h) + 3, height)
-    inside = np.zeros((max(low - top, 1), max(right - left, 1)), np.uint8)
-    ring = np.rint((item.outline_px - (left, top)) * 16.0).astype(np.int32)[:, None]
-    cv2.fillPoly(inside, [ring], (255,), shift=4)
-    if not holed or low <= top or right <= left:
-        return Silhouette(inside, (left, top), 0.0)
-    core = inside.copy()
-    wide = 2 * max(1, round(_RIM * item.size_px[1])) - 1
-    cv2.polylines(core, [np.rint(ring / 16.0).astype(np.int32)], True, (0,), wide)
-    planes = np.ascontiguousarray(image[top:low, left:right].transpose(2, 0, 1))
-    found = blobs_like_table(planes[None], core[None] > 0, table[None], ["hole" in item.flags])[0]
-    inside[found] = 0
-    missing = int(np.count_nonzero(found))
-    return Silhouette(inside, (left, top), missing / max(missing + cv2.countNonZero(inside), 1))
+    boxes = np.array([item.bbox_px for item in detections]).reshape(-1, 4)
+    low = np.maximum(boxes[:, :2].astype(int) - 1, 0)
+    high = np.minimum((boxes[:, :2] + boxes[:, 2:]).astype(int) + 3, (width, height))
+    rings = Rings(detections).drawn(low.astype(np.float64), np.ones(len(boxes)))
+    out = []
+    for k, (ring, (left, top), (right, bottom)) in enumerate(zip(rings, low.tolist(), high.tolist(), strict=True)):
+        solid = np.zeros((max(bottom - top, 1), max(right - left, 1)), np.uint8)
+        cv2.fillPoly(solid, [ring], (255,), shift=SHIFT)
+        hole = None
+        if surface.holed[k] and bottom > top and right > left:
+            core = solid.copy()
+            wide = 2 * max(1, round(_RIM * detections[k].size_px[1])) - 1
+            cv2.polylines(core, [ring], True, (0,), wide, shift=SHIFT)
+            cut = image[top:bottom, left:right]
+            hole = blob_like_table(cut, core, surface.alike[k])
+        missing = 0.0
+        if hole is not None:
+            solid &= ~hole
+            count = cv2.countNonZero(hole)
+            missing = count / max(count + cv2.countNonZero(solid), 1)
+        out.append(Silhouette(solid, (left, top), missing))
+    return out
