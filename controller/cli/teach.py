@@ -80,13 +80,13 @@ def teach(
         looking, shown = from_camera(name, load_cell(config), views, recipe, say)
     else:
         raise typer.BadParameter("name pictures of it, or the cell whose camera shall see it with --config")
-    new = _collected(name, shown, "mm" if looking.calibrated else "px")
+    new = collected(name, shown, "mm" if looking.calibrated else "px")
     admission = admit(new, known, faces)
     save_class(folder, admission.new)
     _report(admission, folder, as_json)
 
 
-def _collected(name: str, shown: Iterator[Shown], units: str) -> TaughtClass:
+def collected(name: str, shown: Iterator[Shown], units: str) -> TaughtClass:
     """All views of a class.
 
     Raises:

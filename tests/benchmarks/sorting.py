@@ -49,7 +49,7 @@ def main() -> int:
         "size": Job(_by_size(config), 10, 0, Level.DYNAMIC),
         "colour": Job(_by_colour(config), 10, 0, Level.DYNAMIC),
     }
-    total = _run([replace(studies[asked.study], seed=seed) for seed in seeds], asked.jobs)
+    total = run_tables([replace(studies[asked.study], seed=seed) for seed in seeds], asked.jobs)
     return 1 if total["missorted"] or total["silent"] or total["broken"] else 0
 
 
@@ -81,7 +81,8 @@ def _with_rules(config: CellConfig, rules: Sequence[RuleSection]) -> CellConfig:
     return config.model_copy(update={"sorting": sorting, "bins": bins})
 
 
-def _run(jobs: Sequence[Job], processes: int) -> Counter[str]:
+def run_tables(jobs: Sequence[Job], processes: int) -> Counter[str]:
+    """Sort the tables one by one, print a line each, and give the totals."""
     total: Counter[str] = Counter()
     for record in sorted_tables(jobs, processes):
         figures = record.get("figures", {})
@@ -101,7 +102,7 @@ def _proof(config: CellConfig, seeds: Sequence[int], processes: int) -> int:
     for proof in (True, False):
         print(f"pick proof {'on' if proof else 'off'}")
         jobs = [Job(config, 10, seed, Level.DYNAMIC, "all", proof) for seed in seeds]
-        totals[proof] = _run(jobs, processes)
+        totals[proof] = run_tables(jobs, processes)
     wrong = {proof: total["silent"] + total["missorted"] for proof, total in totals.items()}
     print(f"silent failures and wrong bins: {wrong[False]} without the proof, {wrong[True]} with it")
     return 1 if wrong[True] else 0

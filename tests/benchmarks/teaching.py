@@ -35,7 +35,7 @@ from tests.benchmarks.surfaces import HELD_OUT, KINDS, SQUARE, UNKNOWN, Floats, 
 Floats32 = NDArray[np.float32]
 _SIZE = (640, 480)
 _RADIUS = 34.0
-_COLOUR = ((150, 90, 40), (235, 235, 235))
+COLOUR = ((150, 90, 40), (235, 235, 235))
 
 
 def _print_a(x: Floats, y: Floats) -> Floats:
@@ -50,7 +50,8 @@ def _print_b(x: Floats, y: Floats) -> Floats:
     return np.asarray(cross | ((x > 10) & (y > 10) & (x < 18) & (y < 18)), np.float64)
 
 
-def _things(kind: str) -> tuple[list[Floats], Pattern]:
+def shape_and_print(kind: str) -> tuple[list[Floats], Pattern]:
+    """Rings and pattern of a kind."""
     if kind == "print A":
         return [SQUARE], _print_a
     if kind == "print B":
@@ -75,7 +76,7 @@ def views(kinds: list[str], each: int, seed: int) -> tuple[Floats32, list[str], 
         some = wanted[start : start + 12]
         things = []
         for k, kind in enumerate(some):
-            rings, pattern = _things(kind)
+            rings, pattern = shape_and_print(kind)
             scale = _RADIUS * (1.0 + 0.015 * float(random.standard_normal()))
             shift = random.uniform(-14, 14, 2)
             x, y = 80.0 + 160.0 * (k % 4) + shift[0], 80.0 + 160.0 * (k // 4) + shift[1]
@@ -84,7 +85,7 @@ def views(kinds: list[str], each: int, seed: int) -> tuple[Floats32, list[str], 
             a, tilt = float(random.uniform(-math.pi, math.pi)), math.cos(float(random.uniform(0.0, 0.17)))
             way = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
             scaled = scale * (way @ np.diag([1.0, tilt]) @ way.T)
-            things.append(Thing([np.asarray(r @ scaled) for r in rings], _COLOUR, x, y, turn, pattern))
+            things.append(Thing([np.asarray(r @ scaled) for r in rings], COLOUR, x, y, turn, pattern))
         kelvin, gain = float(random.uniform(3500, 6500)), float(random.uniform(0.7, 1.3)) * 0.6
         light = surfaces.field(_SIZE, kelvin, gain, float(random.uniform(0, 0.3)), float(random.uniform(-3, 3)))
         blur, noise = float(random.uniform(0.5, 1.0)), float(random.uniform(1, 4))
