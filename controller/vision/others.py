@@ -18,6 +18,8 @@ _POINTS = 96
 _COLUMNS = 17
 _SAME_STRENGTH = 0.75
 """What is left of a region is part of the object when it is at least this strong, against its known pieces."""
+_ON = 4.0
+"""Points nearer than this, px, to an outline lie on it: two cues differ by a blur."""
 _SEEN = 0.85
 """Share of the outline that must be seen as a sharp edge."""
 
@@ -104,16 +106,13 @@ def other_objects(
             sharp_share = float(strict[free].mean()) if free.sum() > 4 else 0.0
             # Of one strength with the rest, as the head of a bolt, or without an edge to it, a known shape is a piece:
             # the rest may be rough.
-            rough = sharp_share if not rest else float(edge[free].mean()) if free.sum() > 4 else 0.0
+            rough = sharp_share if not rest or pieces & certain else float(edge[free].mean()) if free.sum() > 4 else 0.0
             share = min(share, max(sharp_share, _SEEN if rough > 0.6 and (rest or pieces <= set(hidden)) else 0.0))
         own = abs(float(cv2.contourArea(polygon)))
         if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest or own < 0.5 * smallest**2:
             continue
         # Two cues may both propose it.
-        if any(
-            _contains(polygon, _middle(o.astype(np.float32))) or _contains(o.astype(np.float32), _middle(polygon))
-            for o, _, _ in chosen
-        ):
+        if any(_within(outline, o) > 0.5 or _within(o, outline) > 0.5 for o, _, _ in chosen):
             continue
         chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN), contrast))
         merged |= pieces
@@ -168,6 +167,15 @@ def _aligned(outlines: list[Floats]) -> bool:
     return any(
         min(abs(a - b), 90.0 - abs(a - b)) < 3.0 for i, a in enumerate(turns) for b in turns[i + 1 :]
     )
+
+
+def _within(outline: Floats, other: Floats) -> float:
+    """Share of an outline's points that lie in or on another outline, which may be concave."""
+    polygon = other.astype(np.float32)
+    low, high = polygon.min(axis=0) - _ON, polygon.max(axis=0) + _ON
+    near = outline[((outline >= low) & (outline <= high)).all(axis=1)]
+    inside = sum(cv2.pointPolygonTest(polygon, (float(x), float(y)), True) > -_ON for x, y in near)
+    return inside / len(outline)
 
 
 def _contains(polygon: NDArray[np.float32], point: Floats) -> bool:

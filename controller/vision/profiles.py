@@ -71,7 +71,7 @@ def sample(
     apart = np.rint(normal[:, :, None] * (wide * _GRID)[:, None]) / _GRID
     places = apart.astype(np.float32)[chunk]
     places += base.astype(np.float32)[:, :, None]
-    raw = _remap(image, places[:, 0], places[:, 1]).reshape(len(chunk), -1)
+    raw = bilinear(image, places[:, 0], places[:, 1]).reshape(len(chunk), -1)
     scale = 1.0 / lines[:, None]
     values = np.add.reduceat(raw, first, axis=0)
     values *= scale.astype(np.float32)
@@ -90,10 +90,10 @@ def sample(
     )
 
 
-def _remap(image: NDArray[np.uint8], x: Floats32, y: Floats32) -> Floats32:
-    """Bilinear samples, shape (N, D, 3)."""
+def bilinear(image: NDArray[np.uint8] | Floats32, x: Floats32, y: Floats32) -> Floats32:
+    """An image at places (N, D), px, interpolated: shape (N, D, 3), or (N, D) of an image of one channel."""
     blocks = []
     for start in range(0, len(x), _MOST_ROWS):
         block = slice(start, start + _MOST_ROWS)
         blocks.append(cv2.remap(image, x[block], y[block], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    return np.asarray(blocks[0] if len(blocks) == 1 else np.concatenate(blocks)).astype(np.float32)
+    return np.asarray(blocks[0] if len(blocks) == 1 else np.concatenate(blocks)).astype(np.float32, copy=False)

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.profiles import bilinear
+
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
@@ -54,13 +56,8 @@ def find_edges(image: Floats32, centers: Floats, radii: Floats, window: Floats) 
     y = centers[:, None, None, 1] + t * DIRECTIONS[:, 1, None]
     count = len(centers)
     rows = (count * RAYS, SAMPLES)
-    values = cv2.remap(
-        image,
-        x.reshape(rows).astype(np.float32),
-        y.reshape(rows).astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    ).reshape(count, RAYS, SAMPLES, 3)
+    values = bilinear(image, x.reshape(rows).astype(np.float32), y.reshape(rows).astype(np.float32))
+    values = values.reshape(count, RAYS, SAMPLES, 3)
     slope = values[:, :, 2:] - values[:, :, :-2]
     slope[:, :, 1:-1] = 0.5 * slope[:, :, 1:-1] + 0.25 * (slope[:, :, 2:] + slope[:, :, :-2])
     strength = np.sqrt(np.einsum("krsc,krsc->krs", slope, slope))

@@ -30,6 +30,8 @@ _MORE = 0.06
 """Share of its surroundings that may be as strong as the part itself: more is a piece of something larger."""
 _TORN = 0.13
 """Share of an outline that may run elsewhere without a neighbour to blame."""
+_CLEARLY = 0.9
+"""Share of an outline that must be seen where its contrast is near the smallest: texture makes four sides of five."""
 _TABLE = 2.3
 """Median strength, in standard deviations of the table, below which a face looks like the table (1.5 is typical)."""
 
@@ -102,6 +104,8 @@ def _believable(scene: Scene, item: Judged) -> bool:
     (x0, y0, x1, y1), end = item.box, 1.0
     cut = x0 < -end or y0 < -end or x1 > width - 1 + end or y1 > height - 1 + end
     if cut and not scene.sides and not stands_alone(scene, item.outline):
+        return False
+    if item.refined.visible < _CLEARLY and item.refined.levels < 1.5 * scene.settings.minimum_contrast:
         return False
     if item.hypothesis.family is CIRCLE and item.badness > 0.25 and item.refined.chi > 3.0 and many_sided(item.refined):
         return False

@@ -27,6 +27,13 @@ from controller.vision.trial import settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
+_COPY = 0.02
+"""Regions whose boxes differ by less than this share of their size show the same; among those of one round three times
+this, but a shadow beside an object may move a box by no more."""
+
+_NECKED = 0.93
+"""Area over the hull's, below which a region may be several touching parts."""
+
 
 def open_objects(
     scene: Scene, regions: list[Region], clear: list[Judged], smallest: float, watch: Stopwatch
@@ -46,19 +53,22 @@ def open_objects(
     if not regions:
         return scene, []
     shape = scene.white.difference.shape
-    share = 0.02 if scene.sides else 0.06
-    regions = _distinct(regions, shape, share)
+    share = _COPY if scene.sides else 3.0 * _COPY
+    regions = _distinct(regions, shape, _COPY)
     # First what stands out clearly; the costlier guesses only where that left something open.
     plain = [
         (item.core and (scene.sides or item.cue == "level")) or (scene.sides and item.cue == "zone")
         for item in regions
     ]
-    first = [item for item, use in zip(regions, plain, strict=True) if use]
+    first = _distinct([item for item, use in zip(regions, plain, strict=True) if use], shape, share)
     later = [item for item, use in zip(regions, plain, strict=True) if not use]
     blur = typical_blur(clear, 1.0)
     scene, first, judged = _round(scene, first, blur, watch)
     done = settled([*clear, *judged], scene)
-    open_ = [item for item in first if item.cue != "zone" and not done.explains(item.contour)]
+    # A part that touches a larger one may lie within what that seems to explain.
+    open_ = [
+        item for item in first if item.cue != "zone" and (item.convex < _NECKED or not done.explains(item.contour))
+    ]
     rest = [item for item in later if not done.explains(item.contour)]
     pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
     pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
@@ -176,17 +186,18 @@ def _center(contour: NDArray[np.float32]) -> Floats:
 def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> list[Region]:
     """Regions without near copies of one another, and without those that fill most of the frame.
 
-    Copies are regions whose boxes differ by less than half a pixel and a share of their size.
+    Copies are regions whose boxes differ by less than half a pixel and a share of their size, and their areas by no
+    more than that: a small part may touch a larger one within its box.
     """
     kept: list[Region] = []
-    seen = np.empty((len(regions), 4))
+    seen = np.empty((len(regions), 5))
     limit = 0.8 * shape[0] * shape[1]
     for item in regions:
         x, y, w, h = cv2.boundingRect(item.contour)
         if w * h > limit:
             continue
-        box = np.array([x, y, x + w, y + h], float)
         tolerance = share * max(w, h) + 0.5
+        box = np.array([x, y, x + w, y + h, item.area / (0.5 * (w + h))], float)
         if kept and bool((np.abs(seen[: len(kept)] - box).max(axis=1) < tolerance).any()):
             continue
         seen[len(kept)] = box

@@ -34,7 +34,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
         others, merged = other_objects(
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
             scene.settings.minimum_contrast, scene.settings.smallest_px,
-            whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item)],
+            whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item) or _all_around(item)],
             strength=None if scene.sides else scene.strength,
         )  # fmt: skip
         bigger = [(abs(float(cv2.contourArea(o.astype(np.float32)))), levels) for o, _, levels in others]
@@ -79,7 +79,12 @@ def _part_of(item: Found, outline: Floats) -> bool:
 
 def _merged(item: Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    return float(item.refined.faint.mean()) > 0.08
+    return float(item.refined.faint.mean()) > 0.08 and not _all_around(item)
+
+
+def _all_around(item: Judged) -> bool:
+    """Whether there is an edge everywhere, though a shadow of nearly the same gray may make some of it faint."""
+    return item.badness < 0.3 and bool(item.refined.seen.all())
 
 
 def _found(scene: Scene, item: Judged, hole: bool) -> Found:
