@@ -25,6 +25,10 @@ Image = NDArray[np.uint8]
 #: The sheet fits the lens about as well as the lens' own views did; three times worse, and not below half
 #: a pixel, means another camera, focus or board.
 RMS_RATIO, RMS_FLOOR_PX = 3.0, 0.5
+#: A corner this far from its place, px, and this many times as far as the middle one, is none ...
+STRAY_PX, STRAY_RATIO = 1.0, 5.0
+#: ... while at most this share of them is so.
+STRAY_SHARE = 0.1
 #: With fewer points on edges than this the corners alone decide.
 _LEAST_EDGE_POINTS = 100
 #: A board's outer squares lie beyond its corners: its sheet is so many times as wide.
@@ -161,6 +165,10 @@ def calibrate_table(
             f"the board or the camera moved by {moved:.1f} px between the pictures", "let nothing move; repeat"
         )
     T_camera_board = board_pose(points, pixels, camera.camera)
+    good = _in_place(np.linalg.norm(_seen(points, T_camera_board, camera.camera) - pixels, axis=1))
+    if not good.all():
+        points, pixels = points[good], pixels[good]
+        T_camera_board = board_pose(points, pixels, camera.camera)
     if board.kind in (BoardKind.CHESSBOARD, BoardKind.CHARUCO):
         bad = {name for name, _ in rejected}
         mean = np.mean([_gray(image) for name, image in images if name not in bad], axis=0, dtype=np.float32)
@@ -189,6 +197,15 @@ def calibrate_table(
             _mean_landmarks([image for _, image in images], pixels),
         )
     )
+
+
+def _in_place(errors: Array) -> NDArray[np.bool_]:
+    """Which corners (N,) are where the board has them; all, when more than a few are not: then the fit is at fault.
+
+    What covers part of the sheet, such as the arm at rest, may end in something like a corner.
+    """
+    good = errors <= max(STRAY_PX, STRAY_RATIO * float(np.median(errors)))
+    return good if (~good).mean() <= STRAY_SHARE else np.ones(len(errors), np.bool_)
 
 
 def _mean_landmarks(images: Sequence[Image], board: Array) -> dict[int, Array]:

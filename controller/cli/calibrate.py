@@ -17,7 +17,7 @@ from rich.table import Table
 from controller.backends import Devices, Level
 from controller.calibration.approval import certificate_of
 from controller.calibration.boards import BoardView, parse_board
-from controller.calibration.camera import CameraCalibration, find_views, fit_views
+from controller.calibration.camera import CameraCalibration, LensModel, find_views, fit_views
 from controller.calibration.coverage import coverage_picture
 from controller.calibration.guided import TABLE_FRAMES
 from controller.calibration.hand_eye import Carried, fit_hand_eye, read_robot_pose
@@ -69,6 +69,9 @@ def camera(
     device: Annotated[str | None, typer.Option(metavar="PATH", help="Live: another camera.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="DIR", help="Live: keep the views in DIR.")] = None,
     sim: Annotated[bool, typer.Option("--sim", help="Live: simulated camera, and hands with the board.")] = False,
+    model: Annotated[
+        LensModel | None, typer.Option("--model", help="Fit exactly these distortion terms; else the evidence decides.")
+    ] = None,
     seed: Seed = 0,
     level: LevelOf = Level.DYNAMIC,
     as_json: AsJson = False,
@@ -99,7 +102,7 @@ def camera(
             raise InputError("no picture was named", "name pictures; live: --config FILE, --device PATH or --sim")
         capture = capture_live(config, shown, device=device, sim=sim, seed=seed, level=level, save=save)
         seen, rejected = capture.taken, []
-    made = fit_views(seen, rejected, shown)
+    made = fit_views(seen, rejected, shown, model=model)
     if out is not None:
         made.save(out, provenance_now())
         left_out = {name for name, _ in made.views_rejected}

@@ -29,7 +29,6 @@ from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.error_map import Area, look_around
 from controller.calibration.guided import calibrate_by_showing
-from controller.calibration.identified import load_identified
 from controller.calibration.marker import ArmMarker
 from controller.calibration.store import (
     CAMERA,
@@ -46,12 +45,10 @@ from controller.calibration.touch_map import touch_map
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
 from controller.cycle.view import region_mask
-from controller.domain import Array, CellCalibration, LocatedObject, Shape, Trajectory
-from controller.errors import ArmError, CalibrationMissing, SafetyStop
+from controller.domain import Array, CellCalibration, LocatedObject, Shape
+from controller.errors import CalibrationMissing, SafetyStop
 from controller.localization.locate import locate
-from controller.motion import dynamics
-from controller.motion.planner import Planner
-from controller.ports import Arm
+from controller.service.at_work import at_work, planner_in
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
 from controller.vision.detect import detect
@@ -60,9 +57,6 @@ from controller.vision.recipe import Recipe, load_recipe
 Say = Callable[[str], None]
 
 MAP = "certificate.png"
-_CORRECTIONS = 3
-_CLOSE = 0.0008  # rad: half an encoder tick of 0.088 degrees
-_LARGEST_CORRECTION = 0.02  # rad: a joint further off is hindered, and pushing harder would not help
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +158,7 @@ def calibrate_arm_in(
         def touch(known: ArmCalibration) -> list[Touch]:
             devices.lay_round_part()
             calibration = cell_calibration(lens, table, known)
-            planner = _planner(devices.arm, config, calibration, folder)
+            planner = planner_in(devices.arm, config, calibration, folder)
             look = partial(_round_part, devices, config, calibration, load_recipe(config.vision.recipe))
             touches = push_part(devices.arm, devices.clock, planner, look, progress=progress)
             devices.clear_table()
@@ -182,7 +176,7 @@ def calibrate_arm_in(
             progress=progress,
         )
         if mapped:
-            mover.planner = _planner(devices.arm, config, cell_calibration(lens, table, made), folder)
+            mover.planner = planner_in(devices.arm, config, cell_calibration(lens, table, made), folder)
             made = look_around(
                 devices.arm,
                 devices.camera,
@@ -195,24 +189,30 @@ def calibrate_arm_in(
                 progress=progress,
             )
         save(folder, arm=made, provenance=_provenance(devices, config))
-        mover.planner = _planner(devices.arm, config, load_calibration(folder), folder)
+        mover.planner = planner_in(devices.arm, config, load_calibration(folder), folder)
     progress(f"arm: {made.residual_mm.mean:.2f} mm, worst {made.residual_mm.max:.2f} mm at {made.points} poses")
     return made
+
+
+def _lying(devices: Devices, config: CellConfig, calibration: CellCalibration, recipe: Recipe) -> list[LocatedObject]:
+    """What lies in the work area; the arm stands out of the view."""
+    frame = devices.camera.capture(devices.clock.now(), config.camera.frame_timeout_s)
+    devices.clock.charge(config.cycle.vision_budget_s)
+    region = region_mask(config, calibration, frame.size)
+    found = detect(frame, recipe, plane=calibration.plane(config.shape_plane_mm), region=region).detections
+    located = locate(found, calibration, config.part_height)
+    return [
+        thing
+        for thing in (*located.objects, *located.in_the_way)
+        if config.in_work_area(thing.center, calibration.T_base_table) and thing.size[0] >= config.vision.smallest_mm
+    ]
 
 
 def _round_part(
     devices: Devices, config: CellConfig, calibration: CellCalibration, recipe: Recipe
 ) -> LocatedObject | None:
     """The only round part in the work area, if one and nothing else lies there."""
-    frame = devices.camera.capture(devices.clock.now(), config.camera.frame_timeout_s)
-    devices.clock.charge(config.cycle.vision_budget_s)
-    region = region_mask(config, calibration, frame.size)
-    found = detect(frame, recipe, plane=calibration.plane(config.shape_plane_mm), region=region).detections
-    things = [
-        thing
-        for thing in locate(found, calibration, config.part_height).objects
-        if config.in_work_area(thing.center, calibration.T_base_table) and thing.size[0] >= config.vision.smallest_mm
-    ]
+    things = _lying(devices, config, calibration, recipe)
     return things[0] if len(things) == 1 and things[0].shape is Shape.CIRCLE else None
 
 
@@ -250,13 +250,21 @@ def check_cell(
         CalibrationMissing: The arm was not calibrated.
         CalibrationStale: The files belong to other devices or not together, or something was moved since.
         CalibrationPoorFit: The camera saw the marker too seldom.
-        SafetyStop: A stop was requested in a move; the arm was parked.
+        SafetyStop: Something lies in the work area, and nothing moved; or a stop was requested, and the arm was parked.
         CameraError, ArmError: A device failed; the arm holds still.
     """
     stored = load(folder)
     stored.check(arm=devices.arm.description.name, devices=device_names(devices, config))
     if stored.arm is None or not stored.arm.points:
         raise CalibrationMissing("the arm was placed by ruler only", "run `controller calibrate arm` first")
+    left = _lying(devices, config, stored.cell(), load_recipe(config.vision.recipe))
+    if left:
+        x, y = left[0].center
+        raise SafetyStop(
+            f"the table is not empty: a {left[0].shape} lies at ({x:.0f}, {y:.0f}) mm, and the jaws will come down to "
+            f"{certificate.TOUCH_HEIGHT:g} mm over it",
+            "clear the work area, then check again",
+        )
     missed: list[Array] = []
 
     def compare(place: Array) -> None:
@@ -300,78 +308,6 @@ def check_cell(
     picture = touch_map(found, config.work_area_outline(stored.arm.T_base_table), content["made_at"])
     cv2.imwrite(str(folder / MAP), picture)
     return content
-
-
-# --- at work --------------------------------------------------------------------------------------------
-
-
-class Mover:
-    """Moves one arm by a plan, and corrects where a move ends."""
-
-    def __init__(self, arm: Arm, planner: Planner) -> None:
-        self.arm = arm
-        self.planner = planner
-        self._last: Trajectory | None = None
-
-    def to(self, pose: Array) -> None:
-        """Bring the joints to angles (J,) of the model, about along the straight joint line. Moves metal."""
-        move = self.planner.plan_move("calibrate", self.arm.state().positions, pose)
-        self._follow(move)
-        self._last = move
-
-    def settle(self) -> None:
-        """Shift the goals by what the encoders still miss of the last move's end. Moves metal by less than a degree.
-
-        A servo holds a load by standing off its goal; the model foresees most of that, friction and the true
-        weights of the links leave 0.2 degrees.
-        """
-        assert self._last is not None
-        offsets = dynamics.joint_offsets(self.arm.description, self.planner.calibration.joint_offsets)
-        pose = self._last.positions[-1]
-        told = np.array(self._last.goals[-1])
-        goals = told.copy()
-        for _ in range(_CORRECTIONS):
-            off = pose + offsets - self.arm.state().positions
-            if np.abs(off).max() < _CLOSE:
-                return
-            goals = np.clip(goals + off, told - _LARGEST_CORRECTION, told + _LARGEST_CORRECTION)
-            self._follow(Trajectory("settle", self._last.period, np.array([pose, pose]), np.array([goals, goals])))
-
-    def _follow(self, move: Trajectory) -> None:
-        if not self.arm.follow(move).finished:
-            raise SafetyStop("stopped on request", "start again")
-
-
-@contextmanager
-def at_work(
-    arm: Arm, config: CellConfig, calibration: CellCalibration, folder: Path | None = None
-) -> Iterator[Mover]:
-    """Energise the arm, and in the end park it and let go; after a failure of the arm it holds still.
-
-    Moves as the arm was identified, where the calibration's folder says how.
-    """
-    planner = _planner(arm, config, calibration, folder)
-    arm.energise()
-    mover = Mover(arm, planner)
-    try:
-        yield mover
-    except ArmError:
-        raise
-    except BaseException:
-        arm.clear_stop()
-        _park(mover)
-        raise
-    _park(mover)
-
-
-def _park(mover: Mover) -> None:
-    if mover.arm.follow(mover.planner.park(mover.arm.state().positions)).finished:
-        mover.arm.relax()
-
-
-def _planner(arm: Arm, config: CellConfig, calibration: CellCalibration, folder: Path | None) -> Planner:
-    description = arm.description if folder is None else load_identified(folder, arm.description)
-    return Planner(description, calibration, config.bin_values(), speed=config.arm.speed_percent / 100.0)
 
 
 # --- notes ----------------------------------------------------------------------------------------------

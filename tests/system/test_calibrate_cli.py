@@ -11,8 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from controller.backends import Level
 from controller.calibration import files
+from controller.config.cell import load_cell
 from controller.config.files import shipped
+from controller.errors import SafetyStop
+from controller.service.self_calibration import CalibrationOptions, check_cell, open_cell
 from tests.system.conftest import Controller
 
 FIGURES = {"mean", "p95", "max"}
@@ -73,6 +77,17 @@ def test_a_cell_is_calibrated_certified_and_refused_when_something_changed(
     assert {"made_at", "software", "camera", "port", "arm", "limits_mm", "verdict"} <= set(kept)
     picture = cv2.imread(str(tmp_path / "cal" / "certificate.png"))
     assert picture is not None
+
+    # Something lies where the jaws would come down.
+    options = CalibrationOptions(load_cell(shipped("sim.toml")), True, 1, Level.STATIC, tmp_path / "cal")
+    with open_cell(options) as (devices, folder):
+        devices.lay_round_part()
+        before = devices.arm.state().positions
+        with pytest.raises(SafetyStop, match="not empty: a circle lies"):
+            check_cell(devices, options.config, folder, 1, options.say)
+        # Without torque it leans on its rest by a degree.
+        assert np.abs(devices.arm.state().positions - before).max() < np.radians(2.0)
+    assert json.loads((tmp_path / "cal" / "certificate.json").read_text()) == kept
 
     # A certificate that somebody has helped along.
     helped = tmp_path / "helped"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,23 @@ def test_frames_are_averaged() -> None:
     assert ten.rms_px < 0.85 * one.rms_px
     far = [grid_error(LENS, found.T_table_camera, LENS, T_TABLE_CAMERA, 0.0).mean() for found in (one, ten)]
     assert far[1] < far[0]
+
+
+def test_a_corner_that_something_on_the_sheet_made_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, clean = lying(), BOARD.find(lying())
+
+    def finds(stray: NDArray[np.bool_]) -> TableCalibration:
+        shifted = replace(clean, image_points=clean.image_points + np.where(stray[:, None], [4.0, -1.0], 0.0))
+        monkeypatch.setattr(type(BOARD), "find", lambda board, picture: shifted)
+        return calibrate_table([("t.png", image)], KNOWN, BOARD)
+
+    count = len(clean.image_points)
+    found = finds(np.arange(count) == 5)
+    assert found.rms_px < 0.1
+    assert np.percentile(grid_error(LENS, found.T_table_camera, LENS, T_TABLE_CAMERA, 20.0), 95) < 0.15
+    # Where many are off the sheet is not what was said, or bent.
+    with pytest.raises(CalibrationPoorFit, match="does not fit the board"):
+        finds(np.arange(count) % 4 == 0)
 
 
 def test_what_cannot_be_a_table_is_refused() -> None:

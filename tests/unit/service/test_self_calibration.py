@@ -15,7 +15,7 @@ from controller.config.files import shipped
 from controller.domain import ArmState, Array, CellCalibration, MoveReport, Trajectory
 from controller.errors import ArmError, SafetyStop
 from controller.motion import kinematics
-from controller.service.self_calibration import at_work
+from controller.service.at_work import at_work
 
 CONFIG = load_cell(shipped("sim.toml"))
 ARM = load_arm("reactorx_150")
