@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.geometry import PlaneMap
 from controller.vision.background import Whitened
 from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
+from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
 from controller.vision.scene import Judged, Scene
@@ -31,6 +31,10 @@ _COPY = 0.02
 """Regions whose boxes differ by less than this share of their size show the same; among those of one round three times
 this, but a shadow beside an object may move a box by no more."""
 
+_FAINT = 0.75
+"""Share of the smallest contrast that a region's hull must have, roughly as it was drawn, to be worth a closer look."""
+_BESIDE = 3.0
+"""How far from a hull, px of the searched image, inside and outside are looked at: beyond the blur."""
 _NECKED = 0.93
 """Area over the hull's, below which a region may be several touching parts."""
 
@@ -82,7 +86,7 @@ def _round(
     """Regions fitted and refined; returns the scene with those that could be measured, these, and their outlines."""
     if not regions:
         return scene, [], []
-    regions, maps, fits = _fits(regions, scene.white, scene.factor, scene.plane, watch)
+    regions, maps, fits = _fits(regions, scene, watch)
     before = len(scene.regions)
     fits = [[replace(h, region=h.region + before) for h in options] for options in fits]
     scene = scene.with_regions([*scene.regions, *regions], joined(scene.maps, maps))
@@ -92,9 +96,10 @@ def _round(
 
 
 def _fits(
-    regions: list[Region], white: Whitened, factor: int, plane: PlaneMap | None, watch: Stopwatch
+    regions: list[Region], scene: Scene, watch: Stopwatch
 ) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
     """The regions that can be measured, their local coordinates, and the fits around each."""
+    white, factor, plane = scene.white, scene.factor, scene.plane
     if regions:
         centers = np.array([_center(item.contour) for item in regions])
         radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
@@ -102,6 +107,7 @@ def _fits(
         if plane is not None:
             # Beyond the horizon of the plane there is nothing to measure.
             usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
+        usable[usable] = _steps(white, centers[usable], radii[usable]) > _FAINT * scene.settings.minimum_contrast
         regions = [item for item, use in zip(regions, usable, strict=True) if use]
         centers, radii = centers[usable], radii[usable]
     if not regions:
@@ -117,6 +123,20 @@ def _fits(
     fits = fit_all(around, edges_of(local, weight), factor)
     watch.lap("fit")
     return regions, maps, fits
+
+
+def _steps(white: Whitened, centers: Floats, radii: Floats) -> Floats:
+    """How far (K,), gray levels, the picture differs between inside and outside along most of each hull, at the best.
+
+    The blocks of a compressed picture have sharp sides, which stand out where all else is flat, but of few levels.
+    """
+    inner, outer = np.maximum(radii - _BESIDE, 0.5 * radii), radii + _BESIDE
+    if not len(centers):
+        return np.empty(0)
+    places = [(centers[:, None] + r[..., None] * DIRECTIONS).astype(np.float32) for r in (inner, outer)]
+    inside, outside = (bilinear(white.difference, place[..., 0], place[..., 1]) for place in places)
+    levels = (inside - outside) @ np.linalg.inv(white.whitener).T
+    return np.asarray(np.quantile(np.sqrt(np.mean(levels * levels, axis=2)), 0.75, axis=1))
 
 
 def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Judged]:
