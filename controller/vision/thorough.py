@@ -7,6 +7,7 @@ the plausible fits are refined on the pixels. Regions that remain open are cut a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -19,7 +20,7 @@ from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
-from controller.vision.scene import Judged, Scene
+from controller.vision.scene import Judged, Scene, all_sampled
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import feet
 from controller.vision.timing import Stopwatch
@@ -32,9 +33,9 @@ _COPY = 0.02
 this, but a shadow beside an object may move a box by no more."""
 
 _FAINT = 0.75
-"""Share of the smallest contrast that a region's hull must have, roughly as it was drawn, to be worth a closer look."""
+"""Share of the smallest contrast that a region's boundary must have to be worth a closer look: it is rough."""
 _BESIDE = 3.0
-"""How far from a hull, px of the searched image, inside and outside are looked at: beyond the blur."""
+"""How far from a boundary, px of the searched image, its sides are looked at: beyond the blur."""
 _NECKED = 0.93
 """Area over the hull's, below which a region may be several touching parts."""
 
@@ -100,6 +101,8 @@ def _fits(
 ) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
     """The regions that can be measured, their local coordinates, and the fits around each."""
     white, factor, plane = scene.white, scene.factor, scene.plane
+    clear = _steps(white, regions) > _FAINT * scene.settings.minimum_contrast
+    regions = [item for item, use in zip(regions, clear.tolist(), strict=True) if use]
     if regions:
         centers = np.array([_center(item.contour) for item in regions])
         radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
@@ -107,7 +110,6 @@ def _fits(
         if plane is not None:
             # Beyond the horizon of the plane there is nothing to measure.
             usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
-        usable[usable] = _steps(white, centers[usable], radii[usable]) > _FAINT * scene.settings.minimum_contrast
         regions = [item for item, use in zip(regions, usable, strict=True) if use]
         centers, radii = centers[usable], radii[usable]
     if not regions:
@@ -125,17 +127,20 @@ def _fits(
     return regions, maps, fits
 
 
-def _steps(white: Whitened, centers: Floats, radii: Floats) -> Floats:
-    """How far (K,), gray levels, the picture differs between inside and outside along most of each hull, at the best.
+def _steps(white: Whitened, regions: Sequence[Region]) -> Floats:
+    """How far (K,), gray levels, the picture differs from one side to the other along most of each boundary.
 
     The blocks of a compressed picture have sharp sides, which stand out where all else is flat, but of few levels.
     """
-    inner, outer = np.maximum(radii - _BESIDE, 0.5 * radii), radii + _BESIDE
-    if not len(centers):
-        return np.empty(0)
-    places = [(centers[:, None] + r[..., None] * DIRECTIONS).astype(np.float32) for r in (inner, outer)]
-    inside, outside = (bilinear(white.difference, place[..., 0], place[..., 1]) for place in places)
-    levels = (inside - outside) @ np.linalg.inv(white.whitener).T
+    points = all_sampled([item.contour.astype(np.float64) for item in regions], 48)
+    along = np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1)
+    across = np.stack([along[..., 1], -along[..., 0]], axis=2)
+    across /= np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-9)[..., None]
+    # No farther than to the middle of what is small.
+    apart = np.minimum(_BESIDE, 0.4 * np.sqrt([max(item.area, 1.0) for item in regions]))[:, None, None]
+    sides = [(points + sign * apart * across).astype(np.float32) for sign in (-1.0, 1.0)]
+    one, other = (bilinear(white.difference, side[..., 0], side[..., 1]) for side in sides)
+    levels = (one - other) @ np.linalg.inv(white.whitener).T
     return np.asarray(np.quantile(np.sqrt(np.mean(levels * levels, axis=2)), 0.75, axis=1))
 
 
