@@ -42,6 +42,7 @@ class Body:
         servos: Joints from base to tool, the gripper, then the shadows.
         joints: From base to tool.
         gripper: The gripper's servo.
+        full_speeds: ndarray of shape (J,), rad/s: the fastest that moves are planned with.
         goals: ndarray of shape (J,), rad: what the joints were told last.
         latest: The last complete state, or None.
         listener: Is told every complete cycle of a streamed move, or None.
@@ -54,6 +55,7 @@ class Body:
         self.servos = servos_of(description)
         self.joints = self.servos[: len(description.joints)]
         self.gripper = self.servos[len(description.joints)]
+        self.full_speeds: Array = np.array([joint.speed_limit for joint in description.joints])
         self.goals: Array = np.zeros(len(self.joints))
         self.latest: ArmState | None = None
         self.listener: Callable[[ServoCycle], None] | None = None

@@ -4,8 +4,9 @@ A miss is a cycle without news; the goals go on. A servo's fault, silence for se
 strays from its path ends the move: the others slow down along the path and hold, then the error is raised.
 
 A stop is one of category 1 (IEC 60204-1): power stays on to slow down, and goes off after parking. The first goal
-that is slower than planned leaves within one cycle, the last that moves within `STOP_TIME` of it; from full speed
-no torque these servos have would stop the waist without overshoot in less than 0.07 s.
+that is slower than planned leaves within one cycle, the last that moves within `SHORTEST_STOP` of it at a third of the
+joints' speeds and within `STOP_TIME` at their full ones; from there no torque these servos have would stop the waist
+without overshoot in less than 0.07 s.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ class Follower:
         self._trajectory = trajectory
         self._stop_requested = stop_requested
         self._paused = paused
-        self._progress = Progress(trajectory, body.goals)
+        self._progress = Progress(trajectory, body.goals, body.full_speeds)
         self._misses = MissCounter(body)
         self._present = state.positions.copy()
         self._speeds = np.abs(state.velocities)

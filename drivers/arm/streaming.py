@@ -16,8 +16,11 @@ from controller.domain import Trajectory
 Array = NDArray[np.float64]
 
 STOP_TIME = 0.12
-"""s from full progress to none: keeps the servos below 0.8 of their power; 0.2 costs more path. At full speed and
-full stall torque the waist needs 0.07."""
+"""s from full progress to none while a joint is at its full speed: keeps the servos below 0.8 of their power; 0.2 costs
+more path. With their whole stall torque the waist would need 0.07."""
+
+SHORTEST_STOP = 0.04
+"""s from full progress to none at a third of the speed and below: in proportion to the speed, and in four goals."""
 
 STANDSTILL = 0.060
 """A gap after which joints have come to rest at their last goal, s (their lag is 45 ms): restart from rest."""
@@ -34,13 +37,14 @@ class Progress:
     Args:
         trajectory: What to stream.
         last_goals: ndarray of shape (J,), rad: what the servos were told last.
+        full_speeds: ndarray of shape (J,), rad/s: the speeds at which a stop takes `STOP_TIME`.
 
     Attributes:
         phase: s along the trajectory.
         slipped: s of real time the trajectory has lost to late cycles.
     """
 
-    def __init__(self, trajectory: Trajectory, last_goals: Array) -> None:
+    def __init__(self, trajectory: Trajectory, last_goals: Array, full_speeds: Array) -> None:
         self.phase = 0.0
         self.slipped = 0.0
         self._trajectory = trajectory
@@ -48,6 +52,7 @@ class Progress:
         self._blended = 0.0
         self._ramp = 1.0
         self._gain = 0.0
+        self._stop_times = _stop_times(trajectory, full_speeds)
 
     @property
     def at_end(self) -> bool:
@@ -96,9 +101,11 @@ class Progress:
         if elapsed > STANDSTILL:
             self._ramp = 0.0
         before = self.rate
-        change = step / STOP_TIME
-        # Cycles add up to a whole ramp but for rounding.
-        self._ramp = max(0.0, self._ramp - change - 1e-9) if stopping else min(1.0, self._ramp + change)
+        if stopping:
+            # Cycles add up to a whole ramp but for rounding.
+            self._ramp = max(0.0, self._ramp - step / self._stop_time - 1e-9)
+        else:
+            self._ramp = min(1.0, self._ramp + step / STOP_TIME)
         self._gain = (self.rate - before) / step if step > 0.0 else 0.0
         moved = step * 0.5 * (before + self.rate)
         done = self.phase >= self._trajectory.duration
@@ -111,6 +118,11 @@ class Progress:
         self.rest()
         self._carry = goals - self._told()
 
+    @property
+    def _stop_time(self) -> float:
+        index = min(int(self.phase / self._trajectory.period), len(self._stop_times) - 1)
+        return float(self._stop_times[index])
+
     def _sample(self, values: Array) -> Array:
         place = self.phase / self._trajectory.period
         index = min(int(place), len(values) - 1)
@@ -118,3 +130,19 @@ class Progress:
         if share <= 0.0 or index + 1 >= len(values):
             return np.asarray(values[index])
         return np.asarray(values[index] * (1.0 - share) + values[index + 1] * share)
+
+
+def _stop_times(trajectory: Trajectory, full_speeds: Array) -> Array:
+    """How long a stop takes that begins at each sample: ndarray of shape (N,), s.
+
+    In proportion to the fastest joint's speed, so that stops ask for the same deceleration wherever they begin; the
+    samples that a full stop still passes count.
+    """
+    if len(trajectory.positions) < 2:
+        return np.array([SHORTEST_STOP])
+    speeds = np.abs(np.diff(trajectory.positions, axis=0)) / trajectory.period
+    share = (speeds / full_speeds).max(axis=1)
+    ahead = math.ceil(0.5 * STOP_TIME / trajectory.period)
+    padded = np.concatenate([share, np.zeros(ahead)])
+    passed = np.lib.stride_tricks.sliding_window_view(padded, ahead + 1).max(axis=1)
+    return np.clip(STOP_TIME * passed, SHORTEST_STOP, STOP_TIME)

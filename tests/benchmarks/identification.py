@@ -28,7 +28,8 @@ from drivers.arm.dynamixel import DynamixelArm
 from sim_backends.cell import SimulatedCell
 from sim_backends.cell_spec import CellSpec
 from sim_backends.plant import Drive, Plant
-from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
+from sim_backends.virtual_dynamixel import ServoSpec, VirtualBus
+from tests.unit.drivers.bench import WireTap
 from tests.unit.motion.scene import RX150
 
 CELL = load_cell(shipped("sim.toml"))
@@ -68,8 +69,9 @@ class Bench:
         self.gains = 1.0 + rng.uniform(-gain, gain, len(RX150.joints))
         ids = [joint.servo_id for joint in RX150.joints]
         plant = OffGains(self.cell.plant, dict(zip(ids, self.gains.tolist(), strict=True)))
-        bus = VirtualBus(plant, servos, baud=RX150.baud, seed=seed)
-        self.arm = DynamixelArm(RX150, BusStream(bus), self.cell.clock)
+        self.bus = VirtualBus(plant, servos, baud=RX150.baud, seed=seed)
+        self.stream = WireTap(self.bus, self.cell.plant)
+        self.arm = DynamixelArm(RX150, self.stream, self.cell.clock)
         self.arm.open()
         self.arm.energise()
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.domain import Trajectory
-from drivers.arm.streaming import BLEND_TIME, STANDSTILL, STOP_TIME, Progress
+from controller.domain import Array, Trajectory
+from drivers.arm.streaming import BLEND_TIME, SHORTEST_STOP, STANDSTILL, STOP_TIME, Progress
 from tests.contract.arm_suite import quintic
 
 PERIOD = 0.01
@@ -18,8 +18,12 @@ def _move(duration: float = 1.0) -> Trajectory:
     return quintic(np.zeros(2), np.array([1.0, -0.5]), duration, PERIOD)
 
 
-def _progress(trajectory: Trajectory) -> Progress:
-    return Progress(trajectory, trajectory.goals[0])
+FULL_SPEED = np.array([1.0, 1.0])
+"""rad/s: less than the moves' own, so that stops take their full time."""
+
+
+def _progress(trajectory: Trajectory, full_speeds: Array = FULL_SPEED) -> Progress:
+    return Progress(trajectory, trajectory.goals[0], full_speeds)
 
 
 def test_on_time_every_sample_is_sent() -> None:
@@ -74,6 +78,27 @@ def test_a_stop_takes_its_time_and_stands() -> None:
     assert 0.0 < progress.rate < 0.05
 
 
+@given(st.floats(0.05, 0.95), st.floats(0.05, 1.0))
+@pytest.mark.safety("SR-20")
+def test_slower_joints_stop_sooner_and_no_harder(at: float, slow: float) -> None:
+    """`slow` is the move's top speed as a share of the full one."""
+    move = _move()
+    top = np.abs(np.diff(move.positions, axis=0)).max(axis=0) / PERIOD
+    progress = _progress(move, top / slow)
+    for _ in range(round(at / PERIOD)):
+        progress.advance(PERIOD, stopping=False)
+    told = [progress.positions]
+    while not progress.standing:
+        progress.advance(PERIOD, stopping=True)
+        told.append(progress.positions)
+    seconds = (len(told) - 1) * PERIOD
+    assert seconds <= max(SHORTEST_STOP, STOP_TIME * slow) + PERIOD
+    # A cosine's steepest slope, beside the move's own slowing down.
+    own = np.abs(np.diff(move.positions, 2, axis=0)).max(axis=0) / PERIOD**2
+    slowing = np.abs(np.diff(told, 2, axis=0)).max(axis=0) / PERIOD**2
+    assert np.all(slowing <= own + 0.5 * np.pi * (top / slow) / STOP_TIME)
+
+
 @pytest.mark.safety("SR-14")
 def test_a_goal_loses_its_lead_with_the_rate_and_pushes_against_the_change() -> None:
     """0.1 of lead against lag, 0.02 of sag, and 0.03 rad s of inertia."""
@@ -106,7 +131,7 @@ def test_after_a_long_gap_it_starts_from_rest() -> None:
 
 def test_a_difference_from_the_last_goal_is_led_to_zero() -> None:
     move = _move()
-    progress = Progress(move, move.goals[0] + np.array([0.1, 0.0]))
+    progress = Progress(move, move.goals[0] + np.array([0.1, 0.0]), FULL_SPEED)
     np.testing.assert_allclose(progress.goals, [0.1, 0.0])
     for _ in range(round(BLEND_TIME / PERIOD)):
         progress.advance(PERIOD, stopping=False)
@@ -116,7 +141,7 @@ def test_a_difference_from_the_last_goal_is_led_to_zero() -> None:
 
 def test_a_trajectory_of_one_sample_blends_too() -> None:
     still = Trajectory("still", PERIOD, np.zeros((1, 2)), np.zeros((1, 2)))
-    progress = Progress(still, np.array([0.05, 0.05]))
+    progress = Progress(still, np.array([0.05, 0.05]), FULL_SPEED)
     ended = []
     for _ in range(round(BLEND_TIME / PERIOD) + 1):
         ended.append(progress.at_end)
