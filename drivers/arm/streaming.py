@@ -145,4 +145,4 @@ def _stop_times(trajectory: Trajectory, full_speeds: Array) -> Array:
     ahead = math.ceil(0.5 * STOP_TIME / trajectory.period)
     padded = np.concatenate([share, np.zeros(ahead)])
     passed = np.lib.stride_tricks.sliding_window_view(padded, ahead + 1).max(axis=1)
-    return np.clip(STOP_TIME * passed, SHORTEST_STOP, STOP_TIME)
+    return np.asarray(np.clip(STOP_TIME * passed, SHORTEST_STOP, STOP_TIME))
