@@ -138,11 +138,13 @@ class Chooser:
 
     def _may_be_picked(self, thing: LocatedObject) -> bool:
         config = self._rig.config
+        # What was worked on may have been dropped or pushed beyond the area's rim, and still be in reach.
+        inside = thing.target_id != "" or config.in_work_area(thing.center, self._rig.calibration.T_base_table)
         return (
-            thing.detection.score >= config.vision.minimum_score
+            inside
+            and thing.detection.score >= config.vision.minimum_score
             and "cut_by_border" not in thing.detection.flags
             and not self._book.is_given_up(thing)
-            and config.in_work_area(thing.center, self._rig.calibration.T_base_table)
             and self._stock.bin_for(thing) is not None
         )
 

@@ -6,6 +6,7 @@ look. What the picture shows can have changed since by other hands only, and for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
-from controller.cycle.view import region_mask
-from controller.domain import Frame, LocatedObject
+from controller.cycle.view import Backdrop, region_mask
+from controller.domain import Array, Frame, LocatedObject
 from controller.errors import CameraError
 from controller.localization.locate import Located, locate
 from controller.vision.detect import Detected, detect
@@ -36,12 +37,14 @@ class Looker:
 
     Args:
         rig: The cell.
+        pose_at: Where the joints stood at a time (s of the cell's clock): ndarray of shape (J,), rad.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+    def __init__(self, rig: Rig, pose_at: Callable[[float], Array]) -> None:
+        self._rig, self._pose_at = rig, pose_at
         self._plane = rig.calibration.plane(rig.config.shape_plane_mm)
         self._region: NDArray[np.uint8] | None = None
+        self._backdrop: Backdrop | None = None
         self._guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="look-ahead")
         self._ahead: _Ahead | None = None
@@ -60,7 +63,7 @@ class Looker:
         with suppress(CameraError):
             frame = self._rig.camera.capture(since, self._rig.config.camera.frame_timeout_s)
             began = self._rig.clock.now()
-            self._ahead = _Ahead(frame, self._worker.submit(self._detect, frame), began)
+            self._ahead = _Ahead(frame, self._worker.submit(self._detect, frame, self._hidden(frame)), began)
 
     def forget(self) -> None:
         """What was begun ahead is not wanted: something has happened since."""
@@ -92,7 +95,7 @@ class Looker:
         clock, budget = self._rig.clock, self._rig.config.cycle.vision_budget_s
         ahead, self._ahead = self._ahead, None
         if ahead is None:
-            detected = self._detect(frame)
+            detected = self._detect(frame, self._hidden(frame))
             clock.charge(budget)
         else:
             detected = ahead.detected.result()
@@ -121,11 +124,19 @@ class Looker:
             Intruder: A hand, or something larger than any part, is over the table.
         """
         self._guard.check_frame(frame)
-        self.locate(self._detect(frame))
+        self.locate(self._detect(frame, self._hidden(frame)))
 
-    def _detect(self, frame: Frame) -> Detected:
-        if self._region is None or self._region.shape != frame.image.shape[:2]:
-            self._region = region_mask(self._rig.config, self._rig.calibration, frame.size)
+    def _detect(self, frame: Frame, hidden: NDArray[np.uint8]) -> Detected:
+        assert self._region is not None
+        rig = self._rig
         return detect(
-            frame, self._rig.recipe, plane=self._plane, region=self._region, classes=self._rig.classes
+            frame, rig.recipe, plane=self._plane, region=self._region, hidden=hidden, classes=rig.classes
         )
+
+    def _hidden(self, frame: Frame) -> NDArray[np.uint8]:
+        """Where nothing is to be looked for in a frame, by what is known of the cell and its arm."""
+        rig = self._rig
+        if self._region is None or self._backdrop is None or self._region.shape != frame.image.shape[:2]:
+            self._region = region_mask(rig.config, rig.calibration, frame.size)
+            self._backdrop = Backdrop(rig.config, rig.calibration, frame.size)
+        return self._backdrop.mask(rig.planner.hidden(self._pose_at(frame.captured_at)))

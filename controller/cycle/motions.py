@@ -45,6 +45,7 @@ class Motions:
         self.last = 0.0
         self.positions: NDArray[np.float64] = np.array(rig.arm.description.ready)
         self.retreat: Trajectory | None = None
+        self._way: tuple[NDArray[np.float64], float, float] = (self.positions[None], 1.0, 0.0)
 
     def adopt(self, rig: Rig, view: NDArray[np.float64]) -> None:
         """Take over a rig with the same arm.
@@ -72,8 +73,20 @@ class Motions:
         """
         report = self._rig.arm.follow(trajectory, opening, after)
         self.positions = report.state.positions
+        offsets = trajectory.positions[-1] - self.positions if report.finished else 0.0
+        self._way = trajectory.positions - offsets, trajectory.period, self._rig.clock.now()
         self._moved(report.finished)
         return report
+
+    def pose_at(self, at: float) -> NDArray[np.float64]:
+        """Where the joints stood at a time, as far back as the last move: ndarray of shape (J,), rad.
+
+        Args:
+            at: s of the cell's clock.
+        """
+        positions, period, end = self._way
+        before = round((end - at) / period)
+        return self.positions if before <= 0 else positions[max(len(positions) - 1 - before, 0)]
 
     def grip(self, opening: float) -> GripReport:
         """Move the jaws; see `Arm.grip`.

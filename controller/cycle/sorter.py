@@ -102,7 +102,7 @@ class Sorter:
         view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
         self._stock = Stock(rig.config, self._filled)
         self._motions.adopt(rig, view)
-        self._looker = Looker(rig)
+        self._looker = Looker(rig, self._motions.pose_at)
         self._chooser = Chooser(rig, self._book, self._stock, view)
 
     # --- from outside ---------------------------------------------------------------------------------

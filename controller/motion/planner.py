@@ -30,7 +30,7 @@ from controller.motion.kinematics import chain, points
 from controller.motion.path import Leg, join, line, straight, stroke
 from controller.motion.postures import CLEARANCE, PART_BELOW_TIPS, Postures, Stop
 from controller.motion.trajectory import generate
-from controller.motion.view import hides
+from controller.motion.view import discs, hides
 
 CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
 PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
@@ -252,6 +252,16 @@ class Planner:
         """
         q = np.asarray(start, np.float64) - self._offsets
         return not hides(self.arm, q, self._eye, self._flat(view))
+
+    def hidden(self, start: Array) -> Array:
+        """What of the table the arm hides from the camera as it stands: discs (N, 3), x, y, radius, in `table`, mm.
+
+        Args:
+            start: ndarray of shape (J,): measured joint angles, rad.
+        """
+        found = discs(self.arm, np.asarray(start, np.float64) - self._offsets, self._eye)
+        centers = np.column_stack([found[:, :2], np.zeros(len(found))])
+        return np.column_stack([transform(invert(self._T), centers)[:, :2], found[:, 2]])
 
     def reach_error(self, point: Point, height: float) -> str | None:
         """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 
@@ -16,6 +14,29 @@ _LIMB = 35.0
 _HAND = 65.0
 
 
+def discs(arm: ArmDescription, q: Array, eye: Array) -> Array:
+    """What the arm hides of the table from the camera: discs (N, 3), x, y and radius on z = 0 of `base`, mm.
+
+    They are the shadows of balls along the arm, cast from the eye, to second order. One that reaches as high as the
+    camera hides everything: its radius is infinite.
+
+    Args:
+        arm: The arm.
+        q: ndarray of shape (J,), rad.
+        eye: (x, y, z) of the camera in `base`, mm.
+    """
+    body = points(arm, q)
+    share = np.linspace(0.0, 1.0, 9)[:, None]
+    balls = np.concatenate([body[k] + (body[k + 1] - body[k]) * share for k in range(3)])
+    radii = np.repeat([_LIMB, _LIMB, _HAND], len(share))
+    below = np.maximum(eye[2] - balls[:, 2], 1e-9)
+    aside = balls[:, :2] - eye[:2]
+    scale = eye[2] / below
+    reach = radii * scale * np.sqrt(1.0 + (aside**2).sum(axis=1) / below**2)
+    reach[balls[:, 2] + radii >= eye[2]] = np.inf
+    return np.column_stack([eye[:2] + aside * scale[:, None], reach])
+
+
 def hides(arm: ArmDescription, q: Array, eye: Array, area: Array) -> bool:
     """Whether the arm stands between the camera and any part of an area of the table.
 
@@ -25,20 +46,7 @@ def hides(arm: ArmDescription, q: Array, eye: Array, area: Array) -> bool:
         eye: (x, y, z) of the camera in `base`, mm.
         area: ndarray of shape (N, 2): outline on the plane z = 0 of `base`, mm.
     """
-    body = points(arm, q)
-    share = np.linspace(0.0, 1.0, 9)[:, None]
-    limbs = [body[k] + (body[k + 1] - body[k]) * share for k in range(3)]
-    balls = np.concatenate(limbs)
-    radii = np.repeat([_LIMB, _LIMB, _HAND], len(share))
     outline = np.ascontiguousarray(area, np.float32)
-    for ball, radius in zip(balls, radii, strict=True):
-        if ball[2] + radius >= eye[2]:
-            return True
-        # The shadow of a ball cast from the eye, as the disc it is to second order.
-        scale = eye[2] / (eye[2] - ball[2])
-        centre = eye[:2] + (ball[:2] - eye[:2]) * scale
-        slant = math.hypot(*(ball[:2] - eye[:2])) / (eye[2] - ball[2])
-        reach = radius * scale * math.sqrt(1.0 + slant * slant)
-        if cv2.pointPolygonTest(outline, (float(centre[0]), float(centre[1])), True) > -reach:
-            return True
-    return False
+    return any(
+        cv2.pointPolygonTest(outline, (float(x), float(y)), True) > -reach for x, y, reach in discs(arm, q, eye)
+    )

@@ -46,6 +46,7 @@ def detect(
     plane: PlaneMap | None = None,
     background: NDArray[np.uint8] | None = None,
     region: NDArray[np.uint8] | None = None,
+    hidden: NDArray[np.uint8] | None = None,
     trace: MutableMapping[str, NDArray[np.generic]] | None = None,
     classes: Taught | None = None,
 ) -> Detected:
@@ -57,6 +58,8 @@ def detect(
         plane: The plane of the objects' top faces: shape and centre are decided there; in pixels when None.
         background: ndarray of shape (H, W, 3), dtype uint8: the same view of the empty table.
         region: ndarray of shape (H, W), dtype uint8: only objects whose centre lies where it is not 0 are returned.
+        hidden: ndarray of shape (H, W), dtype uint8: where it is not 0 something known hides the table, and nothing is
+            looked for there. Recipes of stages do without.
         trace: Receives the image after every stage by its name.
         classes: Taught classes, whose names become labels.
 
@@ -74,8 +77,9 @@ def detect(
         detections = [_component(frame, *item, recipe.ranges) for item in classified(mask, recipe.ranges)]
     else:
         found = search(
-            image, recipe.precise, plane=plane, background=background, region=region, trace=trace, watch=watch
-        )
+            image, recipe.precise,
+            plane=plane, background=background, region=region, hidden=hidden, trace=trace, watch=watch,
+        )  # fmt: skip
         detections = described(frame, found)
     if recipe.model is not None:
         detections = naming.named(frame, detections, network(recipe.model))

@@ -31,6 +31,7 @@ def search(
     plane: PlaneMap | None = None,
     background: NDArray[np.uint8] | None = None,
     region: NDArray[np.uint8] | None = None,
+    hidden: NDArray[np.uint8] | None = None,
     trace: MutableMapping[str, NDArray[np.generic]] | None = None,
     watch: Stopwatch,
 ) -> list[Found]:
@@ -47,6 +48,11 @@ def search(
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
     strength = level_strength(white)
+    visible = None
+    if hidden is not None:
+        covered = cv2.resize(hidden, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        visible = np.asarray(cv2.threshold(covered, 0.0, 255.0, cv2.THRESH_BINARY_INV)[1], np.uint8)
+        strength = np.asarray(cv2.copyTo(strength, visible), np.float32)
     noise = pixel_noise(image)
     image = without_spikes(image, noise)
     scene = Scene(image, noise, white, factor, local_maps(np.empty((0, 2)), np.empty(0), plane), [], plane, settings)
@@ -55,13 +61,16 @@ def search(
     if not scene.sides:
         scene, clear = clear_objects(scene, strength, settings.level, smallest)
         watch.lap("clear")
-    regions = propose(white, strength, settings.level, smallest, settled(clear, scene).unexplained, box)
+    unknown = settled(clear, scene).unexplained
+    regions = propose(white, strength, settings.level, smallest, unknown, box, visible)
     if trace is not None:
         maps = {"strength": strength, "chroma": chroma(white, strength), "edges": edge_energy(white.difference)}
         for name, values in maps.items():
             trace[name] = np.clip(4.0 * values, 0.0, 255.0).astype(np.uint8)
     if mask is not None:
         regions = _within(regions, np.asarray(mask))
+    if visible is not None:
+        regions = _whole(regions, visible)
     watch.lap("propose")
     scene, rest = open_objects(scene, regions, clear, smallest, watch)
     return judge(scene, [*clear, *rest], watch)
@@ -88,6 +97,18 @@ def _box(mask: NDArray[np.uint8]) -> Box | None:
         return None
     margin = max(mask.shape) // 8
     return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
+
+
+def _whole(regions: list[Region], visible: NDArray[np.uint8]) -> list[Region]:
+    """Regions that do not run into what hides the table: others are cut, and mostly the shadow of that very thing."""
+    free = cv2.erode(visible, np.ones((5, 5), np.uint8))
+    limit = np.array(visible.shape[::-1]) - 1
+    out = []
+    for item in regions:
+        x, y = np.clip(np.rint(item.contour).astype(np.intp), 0, limit).T
+        if free[y, x].all():
+            out.append(item)
+    return out
 
 
 def _within(regions: list[Region], mask: NDArray[np.uint8]) -> list[Region]:

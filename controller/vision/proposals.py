@@ -58,7 +58,13 @@ def level_strength(white: Whitened) -> Floats32:
 
 
 def propose(
-    white: Whitened, strength: Floats32, level: float, smallest: float, unknown: Unknown, box: Box | None = None
+    white: Whitened,
+    strength: Floats32,
+    level: float,
+    smallest: float,
+    unknown: Unknown,
+    box: Box | None = None,
+    visible: Mask | None = None,
 ) -> list[Region]:
     """Regions worth a closer look.
 
@@ -69,6 +75,7 @@ def propose(
         smallest: Smallest area, px of the searched image.
         unknown: Leaves out contours of objects that are known already.
         box: Rows and columns to look at.
+        visible: ndarray of shape (H, W), dtype uint8: 0 where something known hides the table; `strength` is 0 there.
     """
     if box is not None:
         corner = np.array([box[1].start, box[0].start], np.int32)
@@ -77,24 +84,34 @@ def propose(
             return [contour - corner for contour in unknown([contour + corner for contour in contours])]
 
         part = replace(white, difference=white.difference[box])
-        regions = propose(part, strength[box], level, smallest, beyond)
+        regions = propose(
+            part, strength[box], level, smallest, beyond, visible=None if visible is None else visible[box]
+        )
         return [replace(item, contour=item.contour + corner.astype(np.float32)) for item in regions]
     regions = []
     mask = _unknown(above(strength, level), smallest, unknown)
     if mask is not None:
         regions += _components(strength, mask, smallest, "level")
         # What stands out by its chroma stands out by its level, which is never less.
-        tint = chroma(white, strength)
+        tint = chroma(white, strength) if visible is None else _where(visible, chroma(white, strength))
         mask = _unknown(above(tint, level), smallest, unknown)
         if mask is not None:
             regions += _components(tint, mask, smallest, "chroma")
     edges = edge_energy(white.difference)
-    typical = float(np.median(edges[::4, ::4]))
+    sampled = edges[::4, ::4] if visible is None else edges[::4, ::4][visible[::4, ::4] > 0]
+    typical = float(np.median(sampled)) if sampled.size else 0.0
+    if visible is not None:
+        edges = _where(visible, edges)
     # Nothing but known objects inside weak edges: nothing but those inside strong ones.
     if _unknown(above(edges, _ZONE * typical), 0.0, unknown) is not None:
         regions += _edge_regions(edges, typical, smallest, unknown)
-        regions += _zones(edges, typical, smallest, unknown)
+        regions += _zones(edges, typical, smallest, unknown, visible)
     return regions
+
+
+def _where(visible: Mask, image: Floats32) -> Floats32:
+    """An image (H, W), 0 where the mask is."""
+    return np.asarray(cv2.copyTo(image, visible), np.float32)
 
 
 def chroma(white: Whitened, strength: Floats32) -> Floats32:
@@ -154,9 +171,13 @@ def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unk
     return found
 
 
-def _zones(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
+def _zones(
+    edges: Floats32, typical: float, smallest: float, unknown: Unknown, visible: Mask | None
+) -> list[Region]:
     """Convex patches without edges inside: faces of objects, also where objects touch, overlap or cast shadows."""
     flat = cv2.bitwise_not(above(edges, _ZONE * typical))
+    if visible is not None:
+        flat = cv2.bitwise_and(flat, visible)
     contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     # The fourth entry is the parent: holes have one, outer boundaries none.
     outer = [
