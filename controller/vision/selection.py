@@ -107,12 +107,15 @@ def _believable(scene: Scene, item: Judged) -> bool:
         return False
     if item.refined.visible < _CLEARLY and item.refined.levels < 1.5 * scene.settings.minimum_contrast:
         return False
-    if item.hypothesis.family is CIRCLE and item.badness > 0.25 and item.refined.chi > 3.0 and many_sided(item.refined):
-        return False
-    if item.badness <= 1.0:
-        return True
     family = item.hypothesis.family
     round_ = family is CIRCLE
+    if round_ and item.badness > 0.25 and item.refined.chi > 3.0 and many_sided(item.refined):
+        return False
+    strays = not round_ and item.badness > 0.5 and item.refined.visible < 0.95
+    if strays and not scene.sides and not filled(scene, item.outline):
+        return False  # the table shows in a corner: an L
+    if item.badness <= 1.0:
+        return True
     worn = item.badness < (WORN if round_ else 0.4 * WORN) and item.refined.visible > (0.7 if round_ else 0.92)
     alone = _ALONE if round_ else _ALONE_POLYGON
     worn = worn and not another_shape(family, item.refined, math.sqrt(item.area))
@@ -138,6 +141,12 @@ def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     rest = [(float(x), float(y)) for x, y in points[~good]]
     covered = sum(any(cv2.pointPolygonTest(o, point, False) > 0.0 for o in others) for point in rest)
     return bool(good.sum() + covered > _SURROUNDED * len(points))
+
+
+def filled(scene: Scene, outline: Floats) -> bool:
+    """Whether all that lies just inside an outline differs from the table."""
+    difference = scene.strengths(sampled(outline), 0.93, 0.8)
+    return bool(np.mean(np.sqrt(np.vecdot(difference, difference)) > scene.settings.level) > _FILLED)
 
 
 def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
