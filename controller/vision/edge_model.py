@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.chunks import PARAMETERS, Batch, chunk_ends, clear_of_corners, side_distance
+from controller.vision.chunks import Batch, chunk_ends, clear_of_corners, side_distance
 from controller.vision.local_map import LocalMaps
+from controller.vision.padded import PARAMETERS, Rows
 from controller.vision.profiles import CHUNKS, Floats32, Profiles, sample
 from controller.vision.robust import median, tukey
 
@@ -30,6 +31,9 @@ _PEAK = np.float32(1.0 / math.sqrt(2.0 * math.pi))
 _SETTLED = 0.03
 """Outlines that a step has moved by less, px, and changed by less in blur, share, are done: every step brings them a
 tenth of the last one's way."""
+_FAR = 100.0
+"""px: any farther is as far."""
+_CHUNK = np.arange(CHUNKS)
 _RIDGE = np.eye(PARAMETERS + 1) * 1e-9
 _UPRIGHT = 1e-6 * np.eye(3)
 
@@ -95,7 +99,8 @@ def look(
         size: ndarray of shape (K,): root of their areas.
         reach: ndarray of shape (K,): how far to look to either side, px.
     """
-    starts, ends, normals = chunk_ends(batch, maps)
+    normals_, reach_ = batch.geometry()
+    starts, ends, normals = chunk_ends(batch, maps, normals_, reach_)
     columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
     profiles = sample(image, starts, ends, normals, reach, columns)
     if maps.plane is None:
@@ -105,9 +110,9 @@ def look(
         both = np.concatenate([profiles.middle, profiles.middle + normals], axis=1)
         local = maps.many_to_local(batch.index, both)
         middle, outwards = local[:, :CHUNKS], local[:, CHUNKS:] - local[:, :CHUNKS]
-        rate = np.vecdot(outwards, batch.geometry()[0])
+        rate = np.vecdot(outwards, normals_)
         offset = profiles.offset * rate.astype(np.float32)[..., None]
-    low, high = clear_of_corners(batch, middle, outwards)
+    low, high = clear_of_corners(batch, middle, outwards, normals_, reach_)
     free = profiles.inside & (profiles.offset > low[..., None]) & (profiles.offset < high[..., None])
     chord = np.hypot(*np.moveaxis(ends - starts, 2, 0))
     spacing = 2.0 * reach / (columns - 1)
@@ -178,7 +183,7 @@ def fit(evidence: Evidence, batch: Batch, steps: int) -> State:
         unlit, bell = _normal(z)
         bell *= sharpness
         if step > 0:
-            weight = _weights(evidence, weight, unlit, bell, batch.group)
+            weight = _weights(evidence, weight, unlit, bell, batch.together)
         if last:
             break
         dark, slope, wider = weight * unlit, weight * bell, z * bell
@@ -239,7 +244,7 @@ def _edge_heights(weight: Floats32, unlit: Floats32, value: Floats32) -> tuple[F
 
 
 def _weights(
-    evidence: Evidence, weight: Floats32, unlit: Floats32, bell: Floats32, group: NDArray[np.intp]
+    evidence: Evidence, weight: Floats32, unlit: Floats32, bell: Floats32, together: Rows
 ) -> Floats32:
     """Weights (K, CHUNKS, D) without what strays, from those of the step before."""
     around, _ = _edge_heights(weight, unlit, evidence.value)
@@ -248,7 +253,7 @@ def _weights(
     spread = np.maximum(1.0, 1.4826 * median(rest.reshape(len(rest), -1), 1))
     kept = tukey(rest / (6.0 * spread[:, None, None]))
     stray, information = _strays(evidence, weight, around, unlit, bell)
-    agreement = _agreement(stray, information, group).astype(np.float32)
+    agreement = _agreement(stray, information, together).astype(np.float32)
     return np.asarray(evidence.weight * kept * agreement[..., None], np.float32)
 
 
@@ -262,7 +267,7 @@ def _strays(
     return deviation / np.maximum(information, 1e-9), information
 
 
-def _agreement(stray: Floats, information: Floats, group: NDArray[np.intp]) -> Floats:
+def _agreement(stray: Floats, information: Floats, together: Rows) -> Floats:
     """Tukey's weight (K, CHUNKS) of chunks by how far they stray from the others that move with them.
 
     Contacts with neighbours stray far; a whole side of a rectangle may, as long as it has not been found.
@@ -270,13 +275,15 @@ def _agreement(stray: Floats, information: Floats, group: NDArray[np.intp]) -> F
     Args:
         stray: ndarray of shape (K, CHUNKS).
         information: ndarray of shape (K, CHUNKS).
-        group: ndarray of shape (K,): how many chunks in a row move together.
+        together: ndarray of shape (K,): how many chunks in a row move together.
     """
-    apart = np.empty_like(stray)
-    for size in set(group.tolist()):
-        rows = group == size
-        split = stray[rows].reshape(-1, CHUNKS // size, size)
-        apart[rows] = np.abs(split - median(split, 2)[..., None]).reshape(-1, CHUNKS)
+    # Raised by more than any stray from group to group, all groups of a row are sorted at once.
+    group = _CHUNK // together[:, None]
+    raised = np.clip(np.nan_to_num(stray), -_FAR, _FAR) + 4.0 * _FAR * group
+    ordered = np.sort(raised, axis=1)
+    first, rows = group * together[:, None], np.arange(len(stray))[:, None]
+    low, high = first + ((together - 1) // 2)[:, None], first + (together // 2)[:, None]
+    apart = np.abs(raised - 0.5 * (ordered[rows, low] + ordered[rows, high]))
     limit = 4.0 * np.maximum(1.4826 * median(apart, 1), 0.04)[:, None] + 3.0 / np.sqrt(np.maximum(information, 1e-9))
     # Not quite nothing: the surroundings of a chunk are still to be estimated.
     return np.asarray(np.maximum(tukey(apart / limit), 1e-4))

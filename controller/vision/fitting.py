@@ -13,19 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.padded import KINDS, OWN, PARAMETERS, POLYGONS, ROUND, Rows, areas
 from controller.vision.rays import DIRECTIONS, RAYS
-from controller.vision.shapes import CIRCLE, HEXAGON, RECTANGLE, TRIANGLE, Family, area
+from controller.vision.shapes import TRIANGLE, Family
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-Rows = NDArray[np.intp]
 
-POLYGONS = (HEXAGON, RECTANGLE, TRIANGLE)
-_CIRCLE = len(POLYGONS)
-_KINDS = (*POLYGONS, CIRCLE)
 _SIDES = max(len(family.normals) for family in POLYGONS)
-_PADDED = 8
-_OWN = [np.array([*range(2 + f.sizes), *range(5, 5 + f.turns)]) for f in _KINDS]
 # Sides beyond a family's own repeat its first one.
 _PLACE = [np.where(np.arange(_SIDES) < len(f.normals), np.arange(_SIDES), 0) for f in POLYGONS]
 _NORMALS = np.array([f.normals[place] for f, place in zip(POLYGONS, _PLACE, strict=True)])
@@ -42,7 +37,7 @@ _FOLLOWS: Floats32 = np.array(
     np.float32,
 )  # fmt: skip
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
-_RIDGE = 1e-5 * np.eye(_PADDED)
+_RIDGE = 1e-5 * np.eye(PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,12 +110,12 @@ def fit_all(
         fine: Numbers of those that bring the others to the end.
     """
     count = len(outlines)
-    kind = np.repeat(np.arange(len(_KINDS)), count)
-    region = np.tile(np.arange(count), len(_KINDS))
+    kind = np.repeat(np.arange(len(KINDS)), count)
+    region = np.tile(np.arange(count), len(KINDS))
     q = _starts(outlines)
     half = edges.coarser().some(region)
     q = _fit(kind, q, half, factor, rough)
-    cost = np.nan_to_num(_quality(kind, q, half, factor)[0], nan=np.inf).reshape(len(_KINDS), count)
+    cost = np.nan_to_num(_quality(kind, q, half, factor)[0], nan=np.inf).reshape(len(KINDS), count)
     best = np.argsort(cost, axis=0, kind="stable")[:2]
     rows = np.sort((best * count + np.arange(count)).ravel())
     rows = rows[np.isfinite(q[rows]).all(axis=1)]
@@ -132,8 +127,8 @@ def fit_all(
     usable = np.isfinite(q).all(axis=1)
     for i in np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")].tolist():
         k, at = int(kind[i]), int(region[i])
-        own = q[i, _OWN[k]]
-        out[at].append(Hypothesis(at, _KINDS[k], own, float(cost[i]), float(inliers[i]), float(size[i])))
+        own = q[i, OWN[k]]
+        out[at].append(Hypothesis(at, KINDS[k], own, float(cost[i]), float(inliers[i]), float(size[i])))
     return out
 
 
@@ -147,9 +142,9 @@ def _starts(outlines: Floats) -> Floats:
     twice = np.where(np.abs(twice) < 1e-6, 1e-6, twice)
     center = ((outlines + after) * cross[..., None]).sum(axis=1) / (3.0 * twice)[:, None]
     covered = np.maximum(0.5 * np.abs(twice), 1.0)
-    out = np.zeros((len(_KINDS), count, _PADDED))
+    out = np.zeros((len(KINDS), count, PARAMETERS))
     out[:, :, :2] = center
-    out[_CIRCLE, :, 2] = np.sqrt(covered / math.pi)
+    out[ROUND, :, 2] = np.sqrt(covered / math.pi)
     shifted = outlines - center[:, None]
     support = (shifted @ DIRECTIONS.T).max(axis=1)
     # The sixth harmonic of the support function points at the sides' normals.
@@ -174,7 +169,7 @@ def _starts(outlines: Floats) -> Floats:
     line = second - first
     third = outlines[rows, np.abs(apart[..., 0] * line[:, 1:] - apart[..., 1] * line[:, :1]).argmax(axis=1)]
     out[2] = _triangles(np.stack([first, second, third], axis=1))
-    return out.reshape(-1, _PADDED)
+    return out.reshape(-1, PARAMETERS)
 
 
 def _triangles(corners: Floats) -> Floats:
@@ -197,7 +192,7 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
     whose width halves with every step, from a fifth of the object to half a pixel of the searched image.
     """
     q = q.copy()
-    size = np.sqrt(np.maximum(_areas(kind, q), 1.0))
+    size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     limit = 0.3 * size[:, None]
     scale = np.maximum(0.5 * factor, 0.008 * size)
     for step in steps:
@@ -221,7 +216,7 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
 
 def _models(kind: Rows) -> list[tuple[Rows, Model]]:
     """Which rows are to be measured in which way."""
-    both = (np.flatnonzero(kind < _CIRCLE), _polygons), (np.flatnonzero(kind == _CIRCLE), _circles)
+    both = (np.flatnonzero(kind < ROUND), _polygons), (np.flatnonzero(kind == ROUND), _circles)
     return [(rows, model) for rows, model in both if len(rows)]
 
 
@@ -239,7 +234,7 @@ def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, 
     side = own.argmax(axis=1)
     normal = lines[where, side, :2]
     points = edges.points if chosen is None else np.take_along_axis(edges.points, chosen[:, None], axis=2)
-    jacobian = np.empty((*side.shape, _PADDED), np.float32)
+    jacobian = np.empty((*side.shape, PARAMETERS), np.float32)
     jacobian[..., :2] = normal * _MOVES[kind, None, None]
     jacobian[..., 2:] = _FOLLOWS[kind[:, None], side]
     middle = q[:, :2].astype(np.float32)
@@ -257,7 +252,7 @@ def _circles(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, F
     if chosen is not None:
         shifted = np.take_along_axis(shifted, chosen[:, None], axis=2)
         far = np.take_along_axis(far, chosen, axis=1)
-    jacobian = np.zeros((*distance.shape, _PADDED), np.float32)
+    jacobian = np.zeros((*distance.shape, PARAMETERS), np.float32)
     jacobian[..., :2] = (shifted / -np.maximum(far, 1e-6)[:, None]).transpose(0, 2, 1)
     jacobian[..., 2] = -1.0
     return distance, strength, jacobian
@@ -277,22 +272,13 @@ def _nearest(distance: Floats32, edges: Edges) -> tuple[Floats32, Floats32, Rows
     return np.take_along_axis(distance, chosen, axis=1), strength, chosen
 
 
-def _areas(kind: Rows, q: Floats) -> Floats:
-    """Areas (R,) of rows of kinds (R,)."""
-    out = np.empty(len(q))
-    for k, family in enumerate(_KINDS):
-        rows = np.flatnonzero(kind == k)
-        out[rows] = area(family, q[rows][:, _OWN[k]])
-    return out
-
-
 def _quality(kind: Rows, q: Floats, edges: Edges, factor: int) -> tuple[Floats, Floats, Floats]:
     """Cost, share of inliers and size (R,) of fitted outlines, see `Hypothesis`."""
     distance = np.empty(edges.weight.shape[:2], np.float32)
     strength = np.empty_like(distance)
     for rows, model in _models(kind):
         distance[rows], strength[rows], _ = model(kind[rows], q[rows], edges.some(rows))
-    size = np.sqrt(np.maximum(_areas(kind, q), 1.0))
+    size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
     off = np.abs(distance)
     valid = strength > 0.15

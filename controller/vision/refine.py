@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.chunks import Batch, batch_of, chunk_middles, side_distance, unpad
+from controller.vision.chunks import Batch, batch_of, middles, side_distance
 from controller.vision.edge_model import State, fit, look
 from controller.vision.local_map import LocalMaps
+from controller.vision.padded import OWN, PARAMETERS, areas
 from controller.vision.profiles import CHUNKS
 from controller.vision.robust import median
-from controller.vision.shapes import Family, area
+from controller.vision.shapes import Family
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,11 @@ _LOOKS = 2
 """How often outlines are looked at, each time from where the last look led."""
 _STEPS = 3
 """Gauss-Newton steps a look."""
+_BELIEVED = 6.0
+"""Strays up to so many px may be the same edge."""
+_LEAST = 0.5
+"""Smallest distance, px, of a side from the centre."""
+_RIDGE = np.eye(PARAMETERS) * 1e-9
 _NEAR = 0.5
 """How far, px, an outline may move on the profiles of one look: they were taken along its sides and corners as they
 were before."""
@@ -94,7 +100,9 @@ def refine(
     for _ in range(restarts):
         again = {i: item for i, item in latest.items() if item is not None and 0.6 < item.visible < 0.95}
         rows = list(again)
-        moved = [_moved(families[i], item) for i, item in again.items()]
+        if not rows:
+            break
+        moved = _moved([families[i] for i in rows], list(again.values()))
         results = _refine(image, noise, [families[i] for i in rows], moved, maps, [index[i] for i in rows], blur)
         latest = dict(zip(rows, results, strict=True))
         for i, item in latest.items():
@@ -104,17 +112,20 @@ def refine(
     return found
 
 
-def _moved(family: Family, item: Refined) -> Floats:
+def _moved(families: Sequence[Family], items: Sequence[Refined]) -> list[Floats]:
     """Parameters after the step that the strays of all chunks ask for, which reach further than the fit does."""
-    batch = batch_of([family], [item.q], [0], item.blur)
-    _, jacobian = side_distance(batch, chunk_middles(family, item.q)[None], np.zeros((1, CHUNKS)))
-    rows = jacobian[0]
-    use = ~item.blank & (np.abs(item.strays) < 6.0)
-    if use.sum() < CHUNKS // 2:
-        return item.q
-    step = np.linalg.lstsq(rows[use], -item.strays[use], rcond=1e-6)[0]
+    batch = batch_of(families, [item.q for item in items], range(len(items)), 1.0)
+    _, jacobian = side_distance(batch, middles(batch), np.zeros((len(items), CHUNKS)))
+    stray = np.array([item.strays for item in items])
+    use = ~np.array([item.blank for item in items]) & (np.abs(stray) < _BELIEVED)
+    use &= use.sum(axis=1, keepdims=True) >= CHUNKS // 2
+    turned = jacobian.transpose(0, 2, 1) * use[:, None]
+    normal = turned @ jacobian
+    normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
+    step = np.linalg.solve(normal, -(turned @ np.where(use, stray, 0.0)[..., None]))[..., 0]
     # An edge that lies s away was measured with half of it outside the profile's reach.
-    return unpad(family, batch.q[0] + 1.5 * step)
+    batch.q += 1.5 * step
+    return [q[OWN[kind]] for q, kind in zip(batch.q, batch.kind.tolist(), strict=True)]
 
 
 def _refine(
@@ -131,9 +142,7 @@ def _refine(
         return []
     batch = batch_of(families, qs, index, blur)
     start = batch.q.copy()
-    size = np.empty(len(families))
-    for family, rows, own in batch.by_family():
-        size[rows] = np.sqrt(np.maximum(area(family, own), 1.0))
+    size = np.sqrt(np.maximum(areas(batch.kind, batch.q), 1.0))
     out: list[Refined | None] = [None] * len(families)
     rows = np.arange(len(families))
     for _ in range(_LOOKS):
@@ -185,15 +194,15 @@ def _verdicts(batch: Batch, state: State, start: Floats, size: Floats, noise: Fl
     chi = _trimmed(squared * information, seen)
     moved = np.hypot(*(batch.q[:, :2] - start[:, :2]).T)
     lost = ~np.isfinite(batch.q).all(axis=1) | (moved > 0.15 * size + 2.0)
-    for family, rows, own in batch.by_family():
-        grown = area(family, own) / size[rows] ** 2
-        lost[rows] |= (own[:, 2 : 2 + family.sizes] <= 0.5).any(axis=1) | ~((grown > 0.6) & (grown < 1.6))
+    with np.errstate(invalid="ignore"):
+        grown = areas(batch.kind, batch.q) / size**2
+        lost |= ~((grown > 0.6) & (grown < 1.6)) | (batch.geometry()[1] <= _LEAST).any(axis=1)
     return [
         None if gone else Refined(
-            unpad(family, batch.q[i]), float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level,
+            batch.q[i, OWN[kind]], float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level,
             float(misfit[i]), float(chi[i]), seen[i], blank[i], faint[i], stray[i], evidence.inner[i],
         )
-        for i, (family, gone) in enumerate(zip(batch.families, lost.tolist(), strict=True))
+        for i, (kind, gone) in enumerate(zip(batch.kind.tolist(), lost.tolist(), strict=True))
     ]  # fmt: skip
 
 

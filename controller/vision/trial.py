@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.chunks import corners
+from controller.vision.chunks import batch_of, corners
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
+from controller.vision.padded import ROUND
 from controller.vision.proposals import Contour
 from controller.vision.refine import Refined, refine
 from controller.vision.scene import Judged, Scene, all_sampled, whole
-from controller.vision.shapes import CIRCLE, Family, area, vertices
+from controller.vision.shapes import CIRCLE, area, vertices
 from controller.vision.silhouette import feet
 
 Floats = NDArray[np.float64]
@@ -62,17 +63,12 @@ def tried(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
 
 def _outlines(maps: LocalMaps, items: Sequence[tuple[Hypothesis, Refined]]) -> list[Floats]:
     """Corners (N, 2) of refined outlines, px; circles are sampled."""
-    out: list[Floats] = [np.empty((0, 2))] * len(items)
-    kinds: dict[Family, list[int]] = {}
-    for i, (h, _) in enumerate(items):
-        kinds.setdefault(h.family, []).append(i)
-    for family, rows in kinds.items():
-        q = np.array([items[i][1].q for i in rows])
-        local = q[:, None, :2] + q[:, 2, None, None] * _RING if family is CIRCLE else corners(family, q)
-        regions = np.array([items[i][0].region for i in rows])
-        for i, outline in zip(rows, maps.all_to_pixels(regions, local), strict=True):
-            out[i] = outline
-    return out
+    batch = batch_of([h.family for h, _ in items], [r.q for _, r in items], [h.region for h, _ in items], 1.0)
+    circles = np.flatnonzero(batch.kind == ROUND)
+    rest = batch.some(np.flatnonzero(batch.kind != ROUND))
+    rings = batch.q[circles, None, :2] + batch.q[circles, 2, None, None] * _RING
+    both = iter(maps.all_to_pixels(batch.index[circles], rings)), iter(maps.all_to_pixels(rest.index, corners(rest)))
+    return [next(both[0]) if h.family is CIRCLE else next(both[1])[: len(h.family.normals)] for h, _ in items]
 
 
 def typical_blur(judged: Sequence[Judged], otherwise: float) -> float:
