@@ -75,7 +75,7 @@ class LocalMaps:
 
     def all_to_pixels(self, index: NDArray[np.intp], local: Floats) -> Floats:
         """Pixels (K, N, 2) of local coordinates of each of the objects `index` (K,), exact."""
-        if self.plane is None:
+        if self.plane is None or not len(local):
             return np.asarray(local + self.centers[index][:, None])
         on_plane = local * self.scale[index][:, None, None] + self.origin[index][:, None]
         return self.plane.to_pixels(on_plane.reshape(-1, 2)).reshape(local.shape)
