@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import local_maps
+from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region
+from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, whole
 from controller.vision.trial import tried
 
@@ -133,15 +135,11 @@ def _half_lines(strength: Floats32, regions: list[Region]) -> tuple[Floats, NDAr
     radius = np.sqrt(np.array([region.area for region in regions]) / math.pi)
     step = (np.minimum(_SHALLOW * radius, _DEEPEST) + _OUTSIDE) / (_SAMPLES - 1)
     depth = (step[:, None] * np.arange(_SAMPLES) - _OUTSIDE).astype(np.float32)
-    places = start[:, :, None] + inwards[:, :, None] * depth[:, None, :, None]
-    rows = places.reshape(-1, _SAMPLES, 2)
-    values = np.concatenate([
-        cv2.remap(strength, rows[i : i + 30_000, :, 0], rows[i : i + 30_000, :, 1], cv2.INTER_LINEAR)
-        for i in range(0, len(rows), 30_000)
-    ]).reshape(len(regions), _POINTS, _SAMPLES)  # fmt: skip
+    x, y = (start[..., i, None] + inwards[..., i, None] * depth[:, None] for i in (0, 1))
+    values = bilinear(strength, x, y)[..., 0]
     middle = start.mean(axis=1, keepdims=True)
     inner = np.rint(middle + 0.4 * (start - middle)).astype(np.intp)
-    half = 0.5 * np.median(strength[inner[..., 1], inner[..., 0]], axis=1)[:, None]
+    half = 0.5 * median(strength[inner[..., 1], inner[..., 0]], 1)[:, None]
     above = values > half[..., None]
     after = above.argmax(axis=2)
     found = after > 0

@@ -38,6 +38,7 @@ _FOLLOWS: Floats32 = np.array(
 )  # fmt: skip
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
 _RIDGE = 1e-5 * np.eye(PARAMETERS)
+_NONE = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +85,7 @@ class Edges:
         return Edges(points.reshape(count, 3, -1), self.weight[:, ::2])
 
 
-Model = Callable[[Rows, Floats, Edges], tuple[Floats32, Floats32, Floats32]]
+Model = Callable[[Rows, Floats, Edges, bool], tuple[Floats32, Floats32, Floats32]]
 
 
 def edges_of(places: Floats, weight: Floats) -> Edges:
@@ -192,14 +193,15 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
     whose width halves with every step, from a fifth of the object to half a pixel of the searched image.
     """
     q = q.copy()
+    models = _models(kind, edges)
     size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     limit = 0.3 * size[:, None]
     scale = np.maximum(0.5 * factor, 0.008 * size)
     for step in steps:
         width = 3.0 * np.maximum(scale, 0.2 * size * 0.5**step)
         change = np.empty_like(q)
-        for rows, model in _models(kind):
-            distance, strength, jacobian = model(kind[rows], q[rows], edges.some(rows))
+        for rows, model, near in models:
+            distance, strength, jacobian = model(kind[rows], q[rows], near, True)
             ratio = np.minimum(np.abs(distance) / width[rows, None].astype(np.float32), 1.0)
             w = strength * (1.0 - ratio * ratio) ** 2
             weighted = (jacobian * w[..., None]).transpose(0, 2, 1).astype(np.float64)
@@ -214,14 +216,16 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
     return q
 
 
-def _models(kind: Rows) -> list[tuple[Rows, Model]]:
-    """Which rows are to be measured in which way."""
+def _models(kind: Rows, edges: Edges) -> list[tuple[Rows, Model, Edges]]:
+    """Which rows are to be measured in which way, and the edges around them."""
     both = (np.flatnonzero(kind < ROUND), _polygons), (np.flatnonzero(kind == ROUND), _circles)
-    return [(rows, model) for rows, model in both if len(rows)]
+    return [(rows, model, edges.some(rows)) for rows, model in both if len(rows)]
 
 
-def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, Floats32]:
-    """Distance (R, M) of each ray's nearest edge from polygons, its strength (R, M), derivatives (R, M, 8)."""
+def _polygons(
+    kind: Rows, q: Floats, edges: Edges, slopes: bool
+) -> tuple[Floats32, Floats32, Floats32]:
+    """Distance (R, M) of each ray's nearest edge from polygons, its strength (R, M), derivatives (R, M, 8) if asked."""
     where = np.arange(len(q))[:, None]
     turn = q[where, _TURN_OF[kind]] + _NORMALS[kind]
     reach = q[where, _SIZE_OF[kind]]
@@ -230,6 +234,8 @@ def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, 
     lines[..., 2] = -(reach + lines[..., 0] * q[:, :1] + lines[..., 1] * q[:, 1:2])
     apart = lines @ edges.points
     distance, strength, chosen = _nearest(apart.max(axis=1), edges)
+    if not slopes:
+        return distance, strength, _NONE
     own = apart if chosen is None else np.take_along_axis(apart, chosen[:, None], axis=2)
     side = own.argmax(axis=1)
     normal = lines[where, side, :2]
@@ -243,12 +249,14 @@ def _polygons(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, 
     return distance, strength, jacobian
 
 
-def _circles(kind: Rows, q: Floats, edges: Edges) -> tuple[Floats32, Floats32, Floats32]:
-    """Distance (R, M) of each ray's nearest edge from circles, its strength (R, M), derivatives (R, M, 8)."""
+def _circles(kind: Rows, q: Floats, edges: Edges, slopes: bool) -> tuple[Floats32, Floats32, Floats32]:
+    """Distance (R, M) of each ray's nearest edge from circles, its strength (R, M), derivatives (R, M, 8) if asked."""
     del kind
     shifted = edges.points[:, :2] - q[:, :2, None].astype(np.float32)
     far = np.sqrt(shifted[:, 0] ** 2 + shifted[:, 1] ** 2)
     distance, strength, chosen = _nearest(far - q[:, 2:3].astype(np.float32), edges)
+    if not slopes:
+        return distance, strength, _NONE
     if chosen is not None:
         shifted = np.take_along_axis(shifted, chosen[:, None], axis=2)
         far = np.take_along_axis(far, chosen, axis=1)
@@ -276,8 +284,8 @@ def _quality(kind: Rows, q: Floats, edges: Edges, factor: int) -> tuple[Floats, 
     """Cost, share of inliers and size (R,) of fitted outlines, see `Hypothesis`."""
     distance = np.empty(edges.weight.shape[:2], np.float32)
     strength = np.empty_like(distance)
-    for rows, model in _models(kind):
-        distance[rows], strength[rows], _ = model(kind[rows], q[rows], edges.some(rows))
+    for rows, model, near in _models(kind, edges):
+        distance[rows], strength[rows], _ = model(kind[rows], q[rows], near, False)
     size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
     off = np.abs(distance)

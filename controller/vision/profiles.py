@@ -6,7 +6,9 @@ the arithmetic that follows becomes a few hundred numbers an object.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -14,13 +16,14 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Pixel = TypeVar("Pixel", np.uint8, np.float32)
 
 CHUNKS = 24
 """Chunks of an outline: divisible by the 3, 4 and 6 sides of the families."""
 _GRID = 32.0
 """Interpolation positions of `cv2.remap` to a pixel: samples are put exactly there, so none is moved unseen."""
-_MOST_ROWS = 30_000
-"""Rows of one `cv2.remap`, whose row index has 16 bits."""
+_ROW, _MOST_ROWS = 512, 30_000
+"""Samples of a row of `cv2.remap`, and the most rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,21 +68,22 @@ def sample(
     step = along / lines[:, None]
     # The place of each line, and of each sample on it, is rounded to the grid by itself: so is their sum.
     base = (begin - (first - 0.5)[:, None] * step)[chunk] + np.arange(len(chunk))[:, None] * step[chunk]
-    base = np.rint(base * _GRID) / _GRID
+    base = np.rint(base * _GRID) * (1.0 / _GRID)
     normal = normals.reshape(-1, 2)
-    wide = np.repeat(reach, chunks)[:, None] * np.linspace(-1.0, 1.0, columns)
-    apart = np.rint(normal[:, :, None] * (wide * _GRID)[:, None]) / _GRID
-    places = apart.astype(np.float32)[chunk]
-    places += base.astype(np.float32)[:, :, None]
-    raw = bilinear(image, places[:, 0], places[:, 1]).reshape(len(chunk), -1)
+    wide = np.repeat(reach, chunks)[:, None] * np.linspace(-_GRID, _GRID, columns)
+    apart = np.rint(normal.T[..., None] * wide) * (1.0 / _GRID)
+    near = apart.astype(np.float32)
+    places = near.take(chunk, axis=1)
+    places += base.T.astype(np.float32)[..., None]
+    raw = bilinear(image, places[0], places[1]).reshape(len(chunk), -1)
     scale = 1.0 / lines[:, None]
-    values = np.add.reduceat(raw, first, axis=0)
+    values = np.add.reduceat(raw, first, axis=0, dtype=np.float32)
     values *= scale.astype(np.float32)
     middle = np.add.reduceat(base, first, axis=0) * scale
-    x, y = middle[:, :1] + apart[:, 0], middle[:, 1:] + apart[:, 1]
+    x, y = middle[:, :1] + apart[0], middle[:, 1:] + apart[1]
     height, width = image.shape[:2]
     inside = (x >= 0.5) & (x <= width - 1.5) & (y >= 0.5) & (y <= height - 1.5)
-    offset = normal[:, :1] * apart[:, 0] + normal[:, 1:] * apart[:, 1]
+    offset = normal[:, :1] * apart[0] + normal[:, 1:] * apart[1]
     shape = (count, chunks, columns)
     return Profiles(
         values.reshape(*shape, 3),
@@ -90,10 +94,14 @@ def sample(
     )
 
 
-def bilinear(image: NDArray[np.uint8] | Floats32, x: Floats32, y: Floats32) -> Floats32:
-    """An image at places (N, D), px, interpolated: shape (N, D, 3), or (N, D) of an image of one channel."""
-    blocks = []
-    for start in range(0, len(x), _MOST_ROWS):
-        block = slice(start, start + _MOST_ROWS)
-        blocks.append(cv2.remap(image, x[block], y[block], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    return np.asarray(blocks[0] if len(blocks) == 1 else np.concatenate(blocks)).astype(np.float32, copy=False)
+def bilinear(image: NDArray[Pixel], x: Floats32, y: Floats32) -> NDArray[Pixel]:
+    """Samples (..., C) of an image between its pixels, at places (...), beyond its rim those of the rim."""
+    count = x.size
+    # OpenCV is slow on short rows, and their number has 16 bits.
+    width = max(_ROW, math.ceil(count / _MOST_ROWS))
+    rows = max(1, math.ceil(count / width))
+    places = np.zeros((2, rows * width), np.float32)
+    places[0, :count], places[1, :count] = x.ravel(), y.ravel()
+    both = places.reshape(2, rows, width)
+    found = cv2.remap(image, both[0], both[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, image.dtype).reshape(rows * width, -1)[:count].reshape(*x.shape, -1)

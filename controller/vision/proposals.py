@@ -28,6 +28,8 @@ _SHORT = 8
 """Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
 """Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
+_HINT = 2.5
+"""Edge energy, over its median, that is worth a closer look at half the size."""
 _EDGE_HALF_WIDTH = 1.8
 """By how much the blur of the searched image makes a zone smaller than its object, px."""
 
@@ -97,13 +99,12 @@ def propose(
         mask = _unknown(above(tint, level), smallest, unknown)
         if mask is not None:
             regions += _components(tint, mask, smallest, "chroma")
-    edges = edge_energy(white.difference)
-    sampled = edges[::4, ::4] if visible is None else edges[::4, ::4][visible[::4, ::4] > 0]
-    typical = float(np.median(sampled)) if sampled.size else 0.0
-    if visible is not None:
-        edges = _where(visible, edges)
-    # Nothing but known objects inside weak edges: nothing but those inside strong ones.
-    if _unknown(above(edges, _ZONE * typical), 0.0, unknown) is not None:
+    # A look at half the size tells whether there is anything; where side faces show there always is.
+    if visible is not None or _outlined(white.difference, unknown):
+        edges = edge_energy(white.difference)
+        typical = _typical(edges, visible)
+        if visible is not None:
+            edges = _where(visible, edges)
         regions += _edge_regions(edges, typical, smallest, unknown)
         regions += _zones(edges, typical, smallest, unknown, visible)
     return regions
@@ -112,6 +113,27 @@ def propose(
 def _where(visible: Mask, image: Floats32) -> Floats32:
     """An image (H, W), 0 where the mask is."""
     return np.asarray(cv2.copyTo(image, visible), np.float32)
+
+
+def _outlined(difference: Floats32, unknown: Unknown) -> bool:
+    """Whether edges may outline something unknown: a look at half the size, where there is less noise."""
+    height, width = difference.shape[0] // 2, difference.shape[1] // 2
+    if min(height, width) < 8:
+        return True
+    half = np.asarray(cv2.resize(difference, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    edges = edge_energy(half)
+    mask = above(edges, _HINT * _typical(edges, None))
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return bool(unknown([2 * contour for contour in contours if len(contour) >= _SHORT // 2]))
+
+
+def _typical(edges: Floats32, visible: Mask | None) -> float:
+    """The median of an edge energy where the table is to be seen: that of its texture and noise."""
+    sample = edges[1::4, 1::4] if visible is None else edges[1::4, 1::4][visible[1::4, 1::4] > 0]
+    if not sample.size:
+        return 0.0
+    ordered = np.sort(sample, axis=None)
+    return float(ordered[len(ordered) // 2])
 
 
 def chroma(white: Whitened, strength: Floats32) -> Floats32:

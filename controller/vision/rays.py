@@ -54,10 +54,7 @@ def find_edges(image: Floats32, centers: Floats, radii: Floats, window: Floats) 
     t = start[..., None] + step[:, None, None] * np.arange(SAMPLES)
     x = centers[:, None, None, 0] + t * DIRECTIONS[:, 0, None]
     y = centers[:, None, None, 1] + t * DIRECTIONS[:, 1, None]
-    count = len(centers)
-    rows = (count * RAYS, SAMPLES)
-    values = bilinear(image, x.reshape(rows).astype(np.float32), y.reshape(rows).astype(np.float32))
-    values = values.reshape(count, RAYS, SAMPLES, 3)
+    values = bilinear(image, x.astype(np.float32), y.astype(np.float32))
     slope = values[:, :, 2:] - values[:, :, :-2]
     slope[:, :, 1:-1] = 0.5 * slope[:, :, 1:-1] + 0.25 * (slope[:, :, 2:] + slope[:, :, :-2])
     strength = np.sqrt(np.einsum("krsc,krsc->krs", slope, slope))
