@@ -37,7 +37,7 @@ _CONVEX = 0.93
 """Area over the hull's, above which a region may be one convex object."""
 _COMPLETE = 0.95
 """Share of the points where the outline must be found."""
-_ROUGH, _FINE = (1, 3), (5,)
+_ROUGH, _FINE = (1,), (4,)
 """Gauss-Newton steps on all families, and on the best two: there are no stray edges to find a way between."""
 _ON_OUTLINE = 0.9
 """Share of the points that must lie on the best family's outline."""

@@ -117,7 +117,7 @@ def look(
     chord = np.hypot(*np.moveaxis(ends - starts, 2, 0))
     spacing = 2.0 * reach / (columns - 1)
     # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
-    lines = np.minimum(np.maximum(chord, 0.25), profiles.lines) * np.minimum(spacing, 1.0)[:, None]
+    lines = np.minimum(np.maximum(chord, 0.25), profiles.pixels) * np.minimum(spacing, 1.0)[:, None]
     free_ = free.astype(np.float32)
     value, inner = _contrasts(profiles, middle, free_, noise, size)
     weight = free_ * lines.astype(np.float32)[..., None]

@@ -211,7 +211,7 @@ def _on_edges(
     # The steepest slope of an edge of blur s and height h is h / (s sqrt(2 pi)).
     width = height / np.maximum(top * math.sqrt(2.0 * math.pi), 1e-9)
     level = math.sqrt(float(noise.trace()) / 3.0)
-    clear = height * np.sqrt(profiles.lines) > 6.0
+    clear = height * np.sqrt(profiles.pixels) > 6.0
     clear &= height * level > minimum_contrast
     if blur <= 0.0:
         blur = float(np.median(width[clear])) if clear.any() else 1.0

@@ -113,7 +113,7 @@ def _edges(
     top = strength.max(axis=2, keepdims=True)
     peak = np.zeros_like(strength, bool)
     peak[:, :, 1:-1] = (strength[:, :, 1:-1] >= strength[:, :, :-2]) & (strength[:, :, 1:-1] > strength[:, :, 2:])
-    floor = 6.0 / np.sqrt(np.maximum(profiles.lines, 1.0))[..., None]
+    floor = 6.0 / np.sqrt(profiles.pixels)[..., None]
     peak &= (strength > 0.4 * top) & (strength > floor)
     outermost = columns - 1 - np.argmax(peak[:, :, ::-1], axis=2)
     found = peak.any(axis=2)
