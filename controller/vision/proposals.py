@@ -120,7 +120,7 @@ def _outlined(difference: Floats32, unknown: Unknown) -> bool:
     height, width = difference.shape[0] // 2, difference.shape[1] // 2
     if min(height, width) < 8:
         return True
-    half = np.asarray(cv2.resize(difference, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    half = np.asarray(cv2.resize(difference, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
     edges = edge_energy(half)
     mask = above(edges, _HINT * _typical(edges, None))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
