@@ -25,8 +25,8 @@ _GRID = 32.0
 _APART, _MOST_LINES = 1.4, 64
 """Distance of a chunk's lines, px, and the most of them.
 
-Between pixels a sample is a mean of several, with two thirds of their variance each way: lines 1.5 px apart hold as much
-as every pixel does.
+Between pixels a sample is a mean of several, with two thirds of their variance each way: lines 1.5 px apart hold as
+much as every pixel does.
 """
 _ROW, _MOST_ROWS = 512, 30_000
 """Samples of a row of `cv2.remap`, and the most rows."""
