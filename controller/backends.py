@@ -391,16 +391,29 @@ def lone_camera(config: CellConfig, device: str) -> tuple[Camera, Clock]:
 class PaintedTable:
     """A simulated camera over a table on which parts are laid at will: for studies of seeing alone.
 
+    Args:
+        config: The cell.
+        arm: It stands out of view.
+        options: Of the simulated world.
+        imperfections: Single ones that replace the level's, by name.
+
     Attributes:
         camera, clock, presenter: The ports, over an empty table; the camera is open.
     """
 
-    def __init__(self, config: CellConfig, arm: ArmDescription, options: BackendOptions) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        arm: ArmDescription,
+        options: BackendOptions,
+        imperfections: Mapping[str, float] | None = None,
+    ) -> None:
         cell_type = _simulated_cell()
         # The arm stands away from the scene, turned to the side: neither it nor its shadow is in the picture.
         table = config.table.model_copy(update={"origin_in_base_mm": (380.0, 0.0, 0.0)})
         aside = replace(arm, rest=(math.pi / 2, *arm.rest[1:]))
-        self._spec = replace(_cell_spec(config.model_copy(update={"table": table}), aside, options), bins=())
+        spec = _cell_spec(config.model_copy(update={"table": table}), aside, options)
+        self._spec = replace(spec, bins=(), overrides=imperfections or {})
         empty = cell_type(self._spec, ())
         self._T_base_table = empty.T_base_table
         empty.camera.open()
