@@ -88,6 +88,7 @@ def calibrate_by_showing(
     sheet: Board | None = None,
     pixel_mm: float | None = None,
     views: Sequence[Wanted] | None = None,
+    field: float = NOMINAL_FIELD,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[CameraCalibration, TableCalibration]:
     """Lens and table from a board held before the camera and then laid on the table.
@@ -102,6 +103,7 @@ def calibrate_by_showing(
         sheet: Laid on the table; the same board when not given.
         pixel_mm: Pixel size of the prints; a 40th of the board's pitch when not given.
         views: What to show; `wanted_views()` when not given.
+        field: Horizontal field of view by the camera's data sheet, rad: how far away a board fills the picture.
         progress: Called with one line before each view.
 
     Raises:
@@ -116,7 +118,7 @@ def calibrate_by_showing(
     try:
         for index, view in enumerate(wanted, 1):
             progress(f"view {index} of {len(wanted)}")
-            presenter.hold(print_, fine, board_pose_for(view, board, size))
+            presenter.hold(print_, fine, board_pose_for(view, board, size, field))
             clock.sleep(SETTLE)
             images.append((f"view {index}", camera.capture(clock.now()).image))
         presenter.remove()

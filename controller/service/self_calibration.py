@@ -7,6 +7,7 @@ on its gripper, and so does the certificate that says what a touch misses by.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -119,7 +120,10 @@ def calibrate_camera_and_table(
     """
     assert devices.presenter is not None
     board = parse_board(config.table.board)
-    lens, table = calibrate_by_showing(devices.camera, devices.presenter, board, devices.clock, progress=progress)
+    field = math.radians(config.camera.field_of_view_deg)
+    lens, table = calibrate_by_showing(
+        devices.camera, devices.presenter, board, devices.clock, field=field, progress=progress
+    )
     noted = _provenance(devices, config)
     save_calibration(
         folder, lens, table, config.table.T_base_table(), arm=devices.arm.description.name, provenance=noted

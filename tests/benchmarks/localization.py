@@ -114,7 +114,9 @@ def study(seed: int, parts: int, level: Level, look: Look = USUAL) -> Cell:
     dim = {"exposure": look.dim} if look.dim != 1.0 else {}
     table = PaintedTable(config, arm, BackendOptions(Path(), seed=seed, level=level), dim)
     board = parse_board(config.table.board)
-    lens, plane = calibrate_by_showing(table.camera, table.presenter, board, table.clock)
+    lens, plane = calibrate_by_showing(
+        table.camera, table.presenter, board, table.clock, field=math.radians(look.field)
+    )
     ruler = by_ruler(config.table.T_base_table(), lens.calibration_id, plane.calibration_id, arm.name)
     calibration = cell_calibration(lens, plane, ruler)
     places = _places(calibration, parts, random)
