@@ -29,7 +29,7 @@ def bundle(
         typer.Option(metavar="FILE", help=f"The cell's TOML file (default: {unit.CONFIG}, when it is there)."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A new file (default: bundle-DATE.zip here).")
+        Path | None, typer.Option(metavar="FILE", help="A new .zip (default: bundle-DATE.zip here).")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The table of contents on stdout.")] = False,
 ) -> None:
@@ -42,6 +42,8 @@ def bundle(
     """
     if folder is not None and not folder.is_dir():
         raise InputError(f"{folder}: no such folder", "name the folder of a run, or leave it out")
+    if out is not None and out.suffix != ".zip":
+        raise typer.BadParameter(f"{out}: a bundle is a .zip")
     if config is None and unit.CONFIG.is_file():
         config = unit.CONFIG
     now = datetime.now(UTC)

@@ -52,7 +52,7 @@ def histogram(values: Sequence[float], title: str, unit: str, bins: int = 40, wi
     top = max(counts)
     across, up = (width - left - 10) / bins, height - bottom - 28
     body = [caption(left, 16, title, size=13)]
-    for value in ticks(0, top, 4):
+    for value in (value for value in ticks(0, top, 4) if value.is_integer()):
         y = height - bottom - up * value / top
         body.append(f'<path d="M{left:.1f} {y:.1f}H{width - 10:.1f}" {GRID}/>')
         body.append(caption(left - 6, y + 4, f"{value:g}", "end", 11))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import shlex
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
@@ -67,9 +68,15 @@ def page(figures: Mapping[str, Any]) -> str:
             "no commands",
         ),
         f'<p class="sub">From {html.escape(figures["ledger"])}; every figure is counted from its records: '
-        f"<code>controller ledger export --since {since:%Y-%m-%dT%H:%M} --until {until:%Y-%m-%dT%H:%M}</code></p>",
+        f"<code>{html.escape(_export(figures['ledger'], since, until))}</code></p>",
     ]
     return "\n".join(lines) + "</html>\n"
+
+
+def _export(ledger: str, since: datetime, until: datetime) -> str:
+    """The command that shows the records themselves; dates are written to the second, the last one rounded up."""
+    begin, end = (f"{moment:%Y-%m-%dT%H:%M:%S}" for moment in (since, until + timedelta(seconds=1)))
+    return f"controller ledger export {shlex.quote(ledger)} --since {begin} --until {end}"
 
 
 def _tiles(figures: Mapping[str, Any]) -> str:

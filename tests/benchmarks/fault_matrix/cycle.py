@@ -30,7 +30,6 @@ from tests.benchmarks.open_cell import PARTS, SEED, OpenCell
 
 _HOLD_FIRST, _BLACK_FIRST = "camera_stalled", "picture_black"
 """What the cell holds for when a fault is to strike in HELD, and what for when it is that one itself."""
-_HELD_FOR = 3.0  # s
 _FAR = timedelta(days=700)
 
 _FAILURES: dict[str, Callable[[], Exception]] = {
@@ -104,12 +103,17 @@ class _CountedArm:
         return self._arm.grip(opening, effort)
 
 
+def held_for(fault: str) -> ScriptedFault:
+    """What brings the cell into HELD: it begins while the first part is placed, and holds the look after that."""
+    return ScriptedFault(fault, None, "PLACE", 1, duration=6.0)
+
+
 def script(case: Case, state: str) -> tuple[ScriptedFault, ...]:
     """What happens in one run."""
     found: tuple[ScriptedFault, ...] = ()
     if state == "HELD":
         first = _BLACK_FIRST if case.fault == _HOLD_FIRST else _HOLD_FIRST
-        found = (ScriptedFault(first, None, "CAPTURE", 2, duration=_HELD_FOR),)
+        found = (held_for(first),)
     if case.by == "script" and case.fault != "bin_full":
         occurrence = 2 if case.compares and state not in ("IDLE", "HELD") else 1
         found += (ScriptedFault(case.fault, None, state, occurrence, case.delay, case.lasts),)

@@ -20,7 +20,7 @@ from controller.service import standing_service
 from controller.service.session import RunOptions, Session
 from sim_backends.fault_script import FAILPOINTS, ScriptedFault
 from tests.benchmarks.fault_matrix.cases import STATES, Found
-from tests.benchmarks.fault_matrix.cycle import judge_ledger
+from tests.benchmarks.fault_matrix.cycle import held_for, judge_ledger
 from tests.benchmarks.fault_matrix.operated import Operator, Unexpected, operate
 from tests.benchmarks.open_cell import FORK, PARTS, OpenCell
 
@@ -104,7 +104,7 @@ def _cut_off(when: str, cell: OpenCell, folder: Path) -> list[str]:
     assert cell.devices.script is not None
     faults = [ScriptedFault("power_lost", None, when)]
     if when == "HELD":
-        faults.append(ScriptedFault("camera_stalled", None, "CAPTURE", 2, duration=3.0))
+        faults.append(held_for("camera_stalled"))
     cell.devices.script.add(tuple(faults))
     process = FORK.Process(target=_work, args=(cell, folder, lambda devices: ()))
     process.start()
@@ -121,7 +121,7 @@ def _hang(when: str, cell: OpenCell, folder: Path) -> list[str]:
     state, way = when.split(", ")
     assert cell.devices.script is not None
     if state == "HELD":
-        cell.devices.script.add((ScriptedFault("camera_stalled", None, "CAPTURE", 2, duration=3.0),))
+        cell.devices.script.add((held_for("camera_stalled"),))
     manager = {"NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": str(round(1e6 * _WATCHDOG))}
     complaints = []
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import itertools
 import json
 import re
+import shlex
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -244,6 +246,12 @@ def test_the_command_writes_a_page_or_figures(
     assert execute(["report", str(busy.parent)]) == 0
     (made,) = tmp_path.glob("shift-*.html")
     assert str(made.name) in capsys.readouterr().out
+    # The records it was counted from come with the command at its foot.
+    (said,) = re.findall(r"<code>controller (.*?)</code>", made.read_text(encoding="utf-8"))
+    assert execute(["report", str(busy), "--json"]) == 0
+    targets = json.loads(capsys.readouterr().out)["targets"]
+    assert execute([*shlex.split(html.unescape(said)), "--json"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == targets > 0
     assert execute(["report", str(busy), "--json", "--since", "2026-03-10T06:00Z", "--until", "2026-03-10T06:10Z"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["time_s"]["stopped"] == 300.0
