@@ -23,8 +23,8 @@ class CameraFault:
 
     Attributes:
         kind: `lost` (gone: no frame, and opening fails), `stalled` (no frame comes), `failed` (frames of another
-            size come, which no driver lets through), `frozen` (the last picture comes again and again), `ragged` (two
-            of three pictures are torn), or a name of `PICTURE_FAULTS`.
+            size come, which no driver lets through), `frozen` (the last picture comes again and again), `ragged`
+            (three of four pictures are torn), or a name of `PICTURE_FAULTS`.
         begins: s of the cell's clock.
         ends: s of the cell's clock.
     """
@@ -48,8 +48,10 @@ def _moved(image: Image) -> Image:
 
 
 def _covered(image: Image) -> Image:
-    out = image.copy()
-    out[: 3 * len(out) // 4] = (90, 120, 180)
+    """A checked cloth hangs before the camera."""
+    out, (height, width) = image.copy(), image.shape[:2]
+    rows, columns = np.indices((3 * height // 4, width)) // 40
+    out[: 3 * height // 4] = np.where(((rows + columns) % 2)[..., None], (60, 60, 70), (170, 190, 210))
     return out
 
 
@@ -146,7 +148,7 @@ class FaultyCamera:
         for kind, spoil in PICTURE_FAULTS.items():
             if self._due(kind, frame.captured_at):
                 image = spoil(image)
-        if self._due("ragged", frame.captured_at) and frame.frame_id % 3:
+        if self._due("ragged", frame.captured_at) and frame.frame_id % 4:
             image = _torn(image)
         image.setflags(write=False)
         self._shown = image

@@ -15,7 +15,7 @@ import pytest
 
 from controller.cli import execute
 from controller.ledger.view import LedgerView
-from tests.system.conftest import Controller
+from tests.system.conftest import Controller, own_environment, run_controller
 
 
 def figures(stdout: str) -> dict[str, Any]:
@@ -31,15 +31,24 @@ def check_sums(found: dict[str, Any]) -> None:
     assert found["reachable"] <= found["parts"]
 
 
-def test_a_run_sorts_and_keeps_everything(
-    controller: Controller, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    done = controller("run", "--sim", "--level", "static", "--parts", 4, "--seed", 7, "--json", "--out", "run")
+RUN = ("run", "--sim", "--level", "static", "--seed", 7, "--json")
+
+
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The folder and the figures of one run that calibrates its cell and sorts four parts."""
+    home = tmp_path_factory.mktemp("home")
+    done = run_controller(home, own_environment(home), *RUN, "--parts", 4, "--out", "run")
     assert done.returncode == 0, done.stderr
-    found = figures(done.stdout)
+    return home / "run", figures(done.stdout)
+
+
+def test_a_run_sorts_and_keeps_everything(
+    first_run: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, found = first_run
     check_sums(found)
     assert (found["parts"], found["correct"], found["missorted"], found["silent"]) == (4, 4, 0, 0)
-    out = tmp_path / "run"
     with LedgerView(out / "ledger.db") as ledger:
         assert ledger.verify() == ()
         assert ledger.counts()["placed"] == 4
@@ -50,24 +59,27 @@ def test_a_run_sorts_and_keeps_everything(
     assert page.count("data:image/jpeg;base64,") == 3
     assert "http" not in page
     assert (out / "calibration" / "camera.json").is_file()
+    made = {"report": ["--out", str(tmp_path / "shift.html")], "bundle": ["--out", str(tmp_path / "bundle.zip")]}
     for command in (["ledger", "show"], ["ledger", "export"], ["ledger", "verify"], ["report"], ["bundle"]):
-        assert execute([*command, str(out), *(("--out", str(out / command[0])) if len(command) == 1 else ())]) == 0
+        assert execute([*command, str(out), *made.get(command[0], [])]) == 0
     assert "4 of 4 parts in a bin" in capsys.readouterr().out
 
 
-def test_the_same_seed_gives_the_same_run(controller: Controller) -> None:
-    runs = []
-    for name in ("a", "b"):
-        done = controller("run", "--sim", "--level", "static", "--parts", 2, "--seed", 3, "--json", "--out", name)
-        assert done.returncode == 0, done.stderr
-        found = figures(done.stdout)
-        runs.append({key: value for key, value in found.items() if key not in ("wall_s", "out")})
-    assert runs[0] == runs[1]
+def test_the_same_seed_gives_the_same_run(first_run: tuple[Path, dict[str, Any]], controller: Controller) -> None:
+    done = controller(*RUN, "--parts", 4, "--out", "again")
+    assert done.returncode == 0, done.stderr
+    runs = ({key: value for key, value in run.items() if key not in ("wall_s", "out")} for run in (
+        first_run[1], figures(done.stdout),
+    ))  # fmt: skip
+    assert next(runs) == next(runs)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
-def test_ctrl_c_in_a_pick_parks_the_arm_and_closes_the_record(tmp_path: Path, environment: dict[str, str]) -> None:
-    arguments = ["run", "--sim", "--level", "static", "--parts", "6", "--seed", "7", "--json", "--out", "run"]
+def test_ctrl_c_in_a_pick_parks_the_arm_and_closes_the_record(
+    first_run: tuple[Path, dict[str, Any]], tmp_path: Path, environment: dict[str, str]
+) -> None:
+    calibration = first_run[0] / "calibration"
+    arguments = [*map(str, RUN), "--parts", "6", "--out", "run", "--calibration", str(calibration)]
     with subprocess.Popen(
         [sys.executable, "-m", "controller.cli", *arguments],
         cwd=tmp_path,
@@ -95,12 +107,14 @@ def test_ctrl_c_in_a_pick_parks_the_arm_and_closes_the_record(tmp_path: Path, en
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
-def test_the_stock_serial_path_sorts_in_real_time(controller: Controller) -> None:
-    done = controller("run", "--sim", "--real-time", "--level", "static", "--parts", 3, "--seed", 7, "--json")
+def test_the_stock_serial_path_sorts_in_real_time(
+    first_run: tuple[Path, dict[str, Any]], controller: Controller
+) -> None:
+    done = controller(*RUN, "--real-time", "--parts", 2, "--calibration", first_run[0] / "calibration")
     assert done.returncode == 0, done.stderr
     found = figures(done.stdout)
     check_sums(found)
-    assert (found["correct"], found["missorted"], found["silent"]) == (3, 0, 0)
+    assert (found["correct"], found["missorted"], found["silent"]) == (2, 0, 0)
     assert found["sim_s"] == pytest.approx(found["wall_s"], abs=0.5)  # both clocks are the system's
 
 

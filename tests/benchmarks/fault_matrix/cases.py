@@ -26,6 +26,7 @@ class Case:
         compares: It is noticed beside the first picture of a new cell, so that it strikes a state's second time;
             before that picture there is nothing to notice.
         only: The only states in which it can strike; empty for all.
+        looks_like: Another fault of the same action that it may be taken for.
         by: Who lets it happen: `script` (the simulated devices), `arm` (its next command fails so), or `clock`.
     """
 
@@ -36,6 +37,7 @@ class Case:
     unsorted: int = 0
     compares: bool = False
     only: tuple[str, ...] = ()
+    looks_like: str = ""
     by: str = "script"
 
     @property
@@ -69,11 +71,11 @@ CASES: Mapping[str, Case] = {
         Case("picture_frozen"),
         Case("picture_black"),
         Case("picture_overexposed"),
-        Case("picture_torn"),
+        Case("picture_torn", lasts=9.0),
         Case("picture_light", compares=True),
         Case("picture_soft", compares=True),
         Case("picture_moved", compares=True),
-        Case("picture_covered", compares=True),
+        Case("picture_covered", compares=True, looks_like="picture_moved"),
         Case("intruder", compares=True),
         Case("light_drifting", lasts=600.0, compares=True),
         Case("pictures_damaged", lasts=600.0),

@@ -185,7 +185,7 @@ def judge(case: Case, state: str, found: Found, witness: Witness, folder: Path) 
     # Once the table is empty nothing is looked at or recorded; before the first look no picture can come again.
     hidden = state == "IDLE" or (case.fault, state) == ("picture_frozen", "HOMING")
     told = CATALOGUE[case.fault].action in (Action.HELD, Action.WARNED, Action.SUSPENDED) and case.ends == GOES_ON
-    if told and not hidden and case.fault not in found.noticed:
+    if told and not hidden and not {case.fault, case.looks_like} & set(found.noticed):
         say("nobody noticed")
     for fault in figures["faults"]:
         row = CATALOGUE[fault["code"]]
