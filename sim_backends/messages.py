@@ -24,6 +24,9 @@ LONGEST_BODY = 256 << 20
 _MARGIN = 5.0
 """s beyond what was asked for until the other process counts as gone."""
 
+PORTRAIT = 60.0
+"""s that painting the whole cell may take: two seconds on a desktop computer with nothing else to do."""
+
 Header = dict[str, Any]
 
 

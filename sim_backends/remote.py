@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from controller.domain import Frame, TruePart
 from controller.errors import DeviceError
 from controller.ports import Clock
-from sim_backends.messages import Connection, Header, part_from_json
+from sim_backends.messages import PORTRAIT, Connection, Header, part_from_json
 
 _START = 30.0
 """s a server may need to build its world."""
@@ -132,7 +132,7 @@ class RemoteTruth:
 
     def portrait(self) -> NDArray[np.uint8]:
         """A picture of the whole cell for people, (H, W, 3); holds up the world, so ask for it at rest."""
-        header, body = self._connection.ask("portrait")
+        header, body = self._connection.ask("portrait", patience=PORTRAIT)
         return np.frombuffer(body, np.uint8).reshape(header["shape"])
 
     def set_aside(self) -> None:

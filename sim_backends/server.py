@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.errors import CameraLost, FrameStale, SorterError
-from sim_backends.messages import Header, part_to_json, receive, send
+from sim_backends.messages import PORTRAIT, Header, part_to_json, receive, send
 from sim_backends.remote import ServerSpec
 from sim_backends.served_cell import Bench, PhysicsCell, ServedCell
 from sim_backends.virtual_dynamixel import Fault, ServoSpec, VirtualBus
@@ -159,7 +159,7 @@ class CellServer:
                 return {"count": line.call(cell.collisions)}, b""
             case "portrait":
                 # Painted where the physics runs, which it holds up: for a cell at rest.
-                picture = np.ascontiguousarray(line.call(cell.portrait))
+                picture = np.ascontiguousarray(line.call(cell.portrait, PORTRAIT))
                 return {"shape": list(picture.shape)}, picture.data.cast("B")
             case "set_aside":
                 line.call(cell.set_aside)

@@ -83,7 +83,8 @@ def _as_config_error(error: ValidationError, model: type[BaseModel], source: str
     key = _dotted(first["loc"])
     cause, remedy = _explain(first, model)
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return ConfigError(f"{source}: {key or 'file'}: {cause}{more}", remedy)
+    where = f"{source}: {key}" if key else source
+    return ConfigError(f"{where}: {cause}{more}", remedy)
 
 
 def _dotted(location: Sequence[int | str]) -> str:

@@ -108,9 +108,10 @@ def test_ctrl_c_in_a_pick_parks_the_arm_and_closes_the_record(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 def test_the_stock_serial_path_sorts_in_real_time(
-    first_run: tuple[Path, dict[str, Any]], controller: Controller
+    first_run: tuple[Path, dict[str, Any]], tmp_path: Path, environment: dict[str, str]
 ) -> None:
-    done = controller(*RUN, "--real-time", "--parts", 2, "--calibration", first_run[0] / "calibration")
+    arguments = (*RUN, "--real-time", "--parts", 2, "--calibration", first_run[0] / "calibration")
+    done = run_controller(tmp_path, environment, *arguments)
     assert done.returncode == 0, done.stderr
     found = figures(done.stdout)
     check_sums(found)
