@@ -29,6 +29,13 @@ def code_of(error: sqlite3.Error) -> int:
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
+def damage(cause: str) -> sqlite3.DatabaseError:
+    """The error of a database that is damaged, for a reason that SQLite itself does not give as one."""
+    error = sqlite3.DatabaseError(cause)
+    error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+    return error
+
+
 @contextmanager
 def as_ledger_error(path: Path, operation: str) -> Iterator[None]:
     """Turn SQLite's errors into one that names the file and the remedy.
@@ -40,5 +47,8 @@ def as_ledger_error(path: Path, operation: str) -> Iterator[None]:
         yield
     except sqlite3.IntegrityError:
         raise
+    except UnicodeDecodeError as error:
+        # SQLite's message quotes the damaged place, and Python cannot decode it.
+        raise LedgerError(f"{path}: {operation}: damaged", _REMEDIES[sqlite3.SQLITE_CORRUPT]) from error
     except sqlite3.Error as error:
         raise LedgerError(f"{path}: {operation}: {error}", _REMEDIES.get(code_of(error), "")) from error

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from controller.errors import LedgerError
+from controller.ledger.failures import damage
 from controller.ledger.schema import SCHEMA, migrate, version_of
 from controller.ledger.view import refuse_unknown
 
@@ -31,9 +32,7 @@ def open_sound(path: Path) -> sqlite3.Connection:
         connection.execute("PRAGMA journal_size_limit = 4194304")
         found = [str(line) for (line,) in connection.execute("PRAGMA quick_check")]
         if found != ["ok"]:
-            damage = sqlite3.DatabaseError("; ".join(found[:3]))
-            damage.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
-            raise damage
+            raise damage("; ".join(found[:3]))
         version = version_of(connection)
         if version < SCHEMA:
             if version > 0:
@@ -41,6 +40,10 @@ def open_sound(path: Path) -> sqlite3.Connection:
             connection.execute("BEGIN IMMEDIATE")
             migrate(connection)
             connection.execute("COMMIT")
+    except UnicodeDecodeError as error:
+        # SQLite's message quotes the damaged place, and Python cannot decode it.
+        connection.close()
+        raise damage("its schema is no text") from error
     except BaseException:
         connection.close()
         raise
