@@ -79,8 +79,15 @@ def _show(result: dict[str, Any]) -> None:
         grid.add_row("", "", title, f"{mean[method]['found']}/{result['parts']}", "", *_numbers(mean[method]))
     stdout().print(grid)
     print(f"{result['frames']} pictures, level {result['level']}, seed {result['seed']}; detected: mean over them.")
+    ours = mean["ours"]
+    if ours["error_percent"] is not None and ours["orientation_deg"] is not None:
+        good = max(ours["error_percent"]) <= MOST_PERCENT and ours["orientation_deg"] <= MOST_DEG
+        limits = f"at most {MOST_PERCENT:g} % in X and in Y, {MOST_DEG:g} deg"
+        print(f"Asked of ours: {limits}: {'met' if good else 'NOT MET'}.")
 
 
+#: What is asked of our method: mean errors of place and direction.
+MOST_PERCENT, MOST_DEG = 0.15, 0.3
 _HEADINGS = ("shape", "actual, mm", "method", "found", "detected, mm", "X, %", "Y, %", "mm", "p95 mm", "turn, deg")
 _METHODS = {"paper": "its method", "model": "its equations, our outlines", "ours": "ours"}
 
