@@ -35,6 +35,8 @@ _LEAST_TURN = np.deg2rad(5.0)
 #: All axes of turning this nearly in one direction leave the place along it open.
 _LEAST_SPREAD = 0.05
 _ROUNDS = 5
+#: A board's size is doubted when the robot's moves speak against it by so many standard deviations.
+_SCALE_SIGMAS = 4.0
 
 
 def read_robot_pose(path: Path) -> Array:
@@ -78,6 +80,9 @@ class HandEye:
         T_mount_board: ndarray of shape (4, 4): `board` in the robot's tool, or in its base when the camera is carried.
         rms_px: Root mean squared distance between seen corners and those expected by the robot's poses.
         apart_mm, apart_deg: ndarrays of shape (V,): between the board's pose by each view alone and by the robot.
+        board_scale: The board's true pitch over the stated one, where the robot's moves tell that it was printed in
+            another size; 1.0 where they do not.
+        scale_sigma: Standard deviation of that ratio.
     """
 
     carried: Carried
@@ -86,6 +91,8 @@ class HandEye:
     rms_px: float
     apart_mm: Array
     apart_deg: Array
+    board_scale: float
+    scale_sigma: float
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of `calibrate robot`."""
@@ -99,6 +106,7 @@ class HandEye:
             "apart_mm": {"mean": self.apart_mm.mean(), "max": self.apart_mm.max()},
             "apart_deg": {"mean": self.apart_deg.mean(), "max": self.apart_deg.max()},
             "views": len(self.apart_mm),
+            "board_scale": {"value": self.board_scale, "sigma": self.scale_sigma},
         }
         plain = files.plain(content)
         assert isinstance(plain, dict)
@@ -138,22 +146,42 @@ def fit_hand_eye(
     pixels = [view.image_points for view in views]
 
     def residuals(at: Array) -> Array:
-        here, there = (pose_from_rvec(part[:3], part[3:]) for part in (at[:6], at[6:]))
+        here, there = (pose_from_rvec(part[:3], part[3:]) for part in (at[:6], at[6:12]))
         chain = invert(here) @ moves @ there
+        scale = at[12] if len(at) > 12 else 1.0
         off = [
-            camera.project(p @ T[:3, :3].T + T[:3, 3]) - q for p, q, T in zip(points, pixels, chain, strict=True)
+            camera.project(scale * p @ T[:3, :3].T + T[:3, 3]) - q
+            for p, q, T in zip(points, pixels, chain, strict=True)
         ]
         return np.asarray(np.vstack(off).ravel())
 
     start = np.concatenate([*rvec_tvec(left), *rvec_tvec(right)])
-    found = least_squares(residuals, start, x_scale=np.tile([0.01] * 3 + [1.0] * 3, 2))
-    left, right = (pose_from_rvec(part[:3], part[3:]) for part in (found.x[:6], found.x[6:]))
+    steps = np.tile([0.01] * 3 + [1.0] * 3, 2)
+    found = least_squares(residuals, start, x_scale=steps)
+    # The robot's metres and the board's need not be the same: a print may have been fitted to its page.
+    freed = least_squares(residuals, np.append(found.x, 1.0), x_scale=np.append(steps, 0.01))
+    scale, sigma = float(freed.x[12]), _scale_sigma(freed.jac, freed.fun, len(views))
+    if abs(scale - 1.0) > _SCALE_SIGMAS * sigma:
+        found = freed
+    else:
+        scale = 1.0
+    left, right = (pose_from_rvec(part[:3], part[3:]) for part in (found.x[:6], found.x[6:12]))
     off = np.reshape(found.fun, (-1, 2))
+    seen = seen.copy()
+    seen[:, :3, 3] *= scale  # a smaller board that looks the same is as much nearer
     apart = np.linalg.inv(invert(left) @ moves @ right) @ (seen @ turns[read])
     turned = Rotation.from_matrix(apart[:, :3, :3]).magnitude()
     shifted = np.linalg.norm(apart[:, :3, 3], axis=1)
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
-    return HandEye(carried, left, right, rms, shifted, np.rad2deg(turned))
+    return HandEye(carried, left, right, rms, shifted, np.rad2deg(turned), scale, sigma)
+
+
+def _scale_sigma(jacobian: Array, residuals: Array, views: int) -> float:
+    """Standard deviation of the last unknown, each view counting as one error of the robot and not as many corners."""
+    variance = float(residuals @ residuals) / max(len(residuals) - jacobian.shape[1], 1)
+    corners = len(residuals) / (2.0 * views)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance * corners
+    return float(np.sqrt(covariance[-1, -1]))
 
 
 def _turns(board: Board) -> Array:

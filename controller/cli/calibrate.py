@@ -244,6 +244,12 @@ def robot(
     poses = [read_robot_pose(Path(name).with_name(f"{Path(name).stem}_pose.yaml")) for name, _ in seen]
     found = fit_hand_eye([view for _, view in seen], poses, lens.camera, shown, carried)
     left_out = [{"image": name, "reason": why} for name, why in rejected]
+    if found.board_scale != 1.0:
+        print(
+            f"warning: by the robot's moves the board is {found.board_scale:.3f} times as large as {shown.spec} says "
+            f"(+- {found.scale_sigma:.3f}), and was taken so: measure the print",
+            file=sys.stderr,
+        )
     _report(found.to_json() | {"views_rejected": left_out}, None, as_json)
 
 
