@@ -160,7 +160,7 @@ def fit_hand_eye(
     found = least_squares(residuals, start, x_scale=steps)
     # The robot's metres and the board's need not be the same: a print may have been fitted to its page.
     freed = least_squares(residuals, np.append(found.x, 1.0), x_scale=np.append(steps, 0.01))
-    scale, sigma = float(freed.x[12]), _scale_sigma(freed.jac, freed.fun, len(views))
+    scale, sigma = float(freed.x[12]), _scale_sigma(np.asarray(freed.jac), freed.fun, len(views))
     if abs(scale - 1.0) > _SCALE_SIGMAS * sigma:
         found = freed
     else:
