@@ -35,7 +35,7 @@ pytest.importorskip("mujoco")
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 BOARD = "charuco:10x7:28:21:DICT_5X5_100"
 # What only a real machine can do, and no command of the program.
-OTHERS = ("python3 -m venv", "/opt/", "ln -s", "usermod", "mkdir", "install -d", "cp ", "chown", "systemctl")
+OTHERS = ("python3 -m venv", "/opt/", "ln -s", "usermod", "mkdir", "install -", "cp ", "chown", "systemctl")
 SIM = ("--sim", "--level", "ideal", "--seed", "7")
 
 
