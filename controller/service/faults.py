@@ -170,11 +170,11 @@ _ROWS: tuple[Fault, ...] = (
           "run controller calibrate again"),
     Fault("cell_busy", "second instance", "the lock is held; exit code 75 and the holder's process", _A.REFUSED,
           "stop the other one"),
-    Fault("internal_error", "failure in the program", "anything else; the arm is brought to rest first", _A.RESTARTED, "send a controller bundle"),
+    Fault("internal_error", "failure in the program", "anything else; the arm is brought to rest first", _A.RESTARTED,
+          "send a controller bundle"),
 )  # fmt: skip
 
 CATALOGUE: Mapping[str, Fault] = {row.code: row for row in _ROWS}
-
 
 
 def table() -> str:
