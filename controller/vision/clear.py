@@ -20,6 +20,7 @@ from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region
 from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, whole
+from controller.vision.small import SMALL
 from controller.vision.trial import tried
 
 Floats = NDArray[np.float64]
@@ -46,7 +47,7 @@ _GROWN, _GROWN_SHARE = 0.6, 0.01
 _DOUBT = 1.5
 """The second best family is tried as well when its cost is within this ratio, ..."""
 _DOUBT_COST = 0.03
-"""... or this much, of the best one's."""
+"""... or this much, of the best one's; all are where the shape is small."""
 
 
 def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: float) -> tuple[Scene, list[Judged]]:
@@ -83,7 +84,9 @@ def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: floa
     for options in fits:
         if options and options[0].inliers > _ON_OUTLINE:
             best = options[0].cost
-            wanted += [h for h in options if h.cost <= max(_DOUBT * best, best + _DOUBT_COST)]
+            wanted += [
+                h for h in options if h.cost <= max(_DOUBT * best, best + _DOUBT_COST) or h.size < SMALL
+            ]
     return scene, [item for item in tried(scene, wanted, 1.0) if whole(item) and _stayed(item, scene.factor)]
 
 

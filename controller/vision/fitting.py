@@ -39,6 +39,8 @@ _FOLLOWS: Floats32 = np.array(
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
 _RIDGE = 1e-5 * np.eye(PARAMETERS)
 _NONE = np.empty(0, np.float32)
+_TINY = 10.0
+"""Root of the area, px of the searched image, below which the blur makes all families look alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +101,7 @@ def edges_of(places: Floats, weight: Floats) -> Edges:
 def fit_all(
     outlines: Floats, edges: Edges, factor: int, rough: Sequence[int] = (0, 1, 2), fine: Sequence[int] = (3, 4, 5)
 ) -> list[list[Hypothesis]]:
-    """For every region, its fits to the two families that suit it best, best first.
+    """For every region, its fits to the two families that suit it best, best first; of what is tiny, to all.
 
     All families are fitted roughly, on every other ray; the best two are fitted to the end.
 
@@ -116,9 +118,10 @@ def fit_all(
     q = _starts(outlines)
     half = edges.coarser().some(region)
     q = _fit(kind, q, half, factor, rough)
-    cost = np.nan_to_num(_quality(kind, q, half, factor)[0], nan=np.inf).reshape(len(KINDS), count)
-    best = np.argsort(cost, axis=0, kind="stable")[:2]
-    rows = np.sort((best * count + np.arange(count)).ravel())
+    cost, _, size = (values.reshape(len(KINDS), count) for values in _quality(kind, q, half, factor))
+    place = np.argsort(np.argsort(np.nan_to_num(cost, nan=np.inf), axis=0, kind="stable"), axis=0)
+    tiny = np.nan_to_num(size).min(axis=0) < _TINY * factor
+    rows = np.flatnonzero(((place < 2) | tiny).ravel())
     rows = rows[np.isfinite(q[rows]).all(axis=1)]
     kind, region = kind[rows], region[rows]
     near = edges.some(region)

@@ -13,6 +13,7 @@ from controller.vision.chunks import chunk_middles
 from controller.vision.scene import Judged, Scene, neighbours, outside, sampled, shared
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import reaches
+from controller.vision.small import SMALL, looks_more_like
 from controller.vision.wear import another_shape, many_sided
 
 Floats = NDArray[np.float64]
@@ -52,7 +53,8 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
 
     meets = neighbours(good)
     stays = [
-        not any(_rival(item, good[j]) for j in np.flatnonzero(meet)) for item, meet in zip(good, meets, strict=True)
+        not any(_rival(scene, item, good[j]) for j in np.flatnonzero(meet))
+        for item, meet in zip(good, meets, strict=True)
     ]
     if not scene.sides:
         # A print or glint must not outrank the object it lies on.
@@ -214,11 +216,15 @@ def _strays(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     return sum(alone) > _TORN * len(off)
 
 
-def _rival(item: Judged, other: Judged) -> bool:
+def _rival(scene: Scene, item: Judged, other: Judged) -> bool:
     """Whether another family explains the same outline better."""
     if other is item or other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
         return False
-    return other.refined.chi < item.refined.chi and shared(item, other) > 0.85
+    if shared(item, other) <= 0.85:
+        return False
+    if max(item.area, other.area) < SMALL**2:
+        return looks_more_like(scene, item, other)
+    return other.refined.chi < item.refined.chi
 
 
 def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from controller.domain import Detection, Shape
 from controller.geometry import CameraModel, PlaneMap, angle_difference, pose, pose_from_rvec
 from controller.vision.detect import detect
+from controller.vision.rays import RAYS, find_edges
 from controller.vision.recipe import load_recipe
 from tests.unit.vision.pictures import at, corners, frame, paint
 
@@ -67,10 +68,49 @@ def test_turn_place_and_size_do_not_matter(shape: Shape, turn: float, size: floa
     assert item.center_px == pytest.approx(outline.mean(axis=0), abs=0.15)
 
 
+def test_a_dozen_pixels_tell_a_shape_in_large_frames() -> None:
+    # More than half a million pixels are searched at half the size, where these are five pixels wide.
+    shapes = [(Shape.SQUARE, Shape.CIRCLE, Shape.HEXAGON)[k % 3] for k in range(24)]
+    patches = []
+    for k, shape in enumerate(shapes):
+        outline = at(corners(shape, 12.0, 0.31 * k), 25.0 + 0.17 * k, 25.0 + 0.23 * k)
+        patches.append(paint([(outline, DARK)], size=(50, 50), noise=3.0))
+    image = np.full((500, 1200, 3), 200, np.uint8) + np.random.default_rng(2).integers(-4, 5, (500, 1200, 3))
+    image[100:150] = np.concatenate(patches, axis=1)
+    seen = sorted(found(np.asarray(image, np.uint8)), key=lambda d: d.center_px[0])
+    assert [d.shape for d in seen] == shapes
+
+
 def test_an_empty_table_gives_nothing() -> None:
     light = np.linspace(0.6, 1.0, 320)[None, :, None]
     table = paint([], noise=4.0).astype(float) * light
     assert found(np.asarray(table, np.uint8)) == ()
+
+
+def test_a_frame_full_of_specks_is_looked_at_whole() -> None:
+    # More regions than OpenCV interpolates rows for at once (32767, 64 rays each).
+    image = np.full((72, 640, 3), 200, np.uint8)
+    image[4::9, 4::9] = image[5::9, 4::9] = image[4::9, 5::9] = image[5::9, 5::9] = 90
+    centers = np.stack(np.meshgrid(np.arange(4.5, 640.0, 9.0), np.arange(4.5, 72.0, 9.0)), axis=-1).reshape(-1, 2)
+    edges, weight = find_edges(
+        image.astype(np.float32), centers, np.full((len(centers), RAYS), 2.0), np.full(len(centers), 3.0)
+    )
+    assert edges.shape[0] == weight.shape[0] == len(centers) > 511
+    # A speck of 2 x 2 px between two pixels: the first and the last are the same, seen on the same rays.
+    assert np.median(np.abs(edges[-1] - centers[-1] - (edges[0] - centers[0]))) < 0.2
+
+
+def test_a_small_part_that_touches_a_large_one_within_its_box_is_found() -> None:
+    large, small = at(corners(Shape.CIRCLE, 64.0), 140, 110), at(corners(Shape.HEXAGON, 30.0, 0.2), 140 + 33, 110 + 33)
+    items = found(paint([(large, DARK), (small, DARK)]))
+    assert sorted(d.shape for d in items) == [Shape.CIRCLE, Shape.HEXAGON]
+
+
+def test_compression_is_no_part() -> None:
+    things = [(at(corners(Shape.SQUARE, 40.0, 0.3), 80, 120), DARK), (at(corners(Shape.CIRCLE, 40.0), 240, 120), DARK)]
+    _, data = cv2.imencode(".jpg", paint(things, noise=3.0), [cv2.IMWRITE_JPEG_QUALITY, 50])
+    picture = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    assert sorted(d.shape for d in found(picture)) == [Shape.CIRCLE, Shape.SQUARE]
 
 
 def test_touching_parts_are_two() -> None:
