@@ -21,6 +21,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,6 +77,8 @@ class Window:
         placed: Parts placed.
         cycle_s: Median of the simulated time from plan to outcome of placed parts, s.
         cpu_s: Processor time a placed part, s.
+        yardstick_s: Processor time of a fixed piece of work, median: what else the machine has to do makes the
+            same work take more of it.
     """
 
     sim_s: float
@@ -85,6 +88,7 @@ class Window:
     placed: int
     cycle_s: float
     cpu_s: float
+    yardstick_s: float
 
 
 @dataclass(slots=True)
@@ -125,6 +129,7 @@ class Soak(Observer):
         self._supplied_at = self._window_at = self._began = 0.0
         self._planned_at = 0.0
         self._cycles: list[float] = []
+        self._yardsticks = [_yardstick()]
         self._placed, self._cpu = 0, time.process_time()
         self._latched = False
         self._operator: ControlClient | None = None
@@ -198,6 +203,7 @@ class Soak(Observer):
                 f" and {unsure} of which nobody knows"
             )
         self._batch.clear()
+        self._yardsticks.append(_yardstick())
         self.found.supplies += 1
         person = Person(world, cell.spec.work_area)
         for index in range(len(world.parts)):
@@ -226,15 +232,28 @@ class Soak(Observer):
             self._placed,
             round(statistics.median(self._cycles), 3) if self._cycles else 0.0,
             round((cpu - self._cpu) / max(self._placed, 1), 3),
+            round(statistics.median(self._yardsticks), 5),
         )
         self.found.windows.append(window)
         print(json.dumps({name: getattr(window, name) for name in Window.__slots__}), flush=True)
         self._window_at, self._cpu, self._placed = at, cpu, 0
         self._cycles.clear()
+        del self._yardsticks[:-1]
 
     def _now(self) -> float:
         assert self.devices is not None
         return self.devices.clock.now()
+
+
+def _yardstick() -> float:
+    """Processor time of a fixed piece of work, half of it Python's and half numpy's, s."""
+    began = time.process_time()
+    values, total = np.arange(50_000.0), 0
+    for number in range(60_000):
+        total += number & 3
+    for _ in range(20):
+        values = np.sqrt(values + 1.0)
+    return time.process_time() - began
 
 
 def _ask(operator: ControlClient, command: str) -> None:
@@ -382,10 +401,14 @@ def _judge(found: Found, path: Path) -> None:
         say("file descriptors have grown")
     if max(w.threads for w in last) > max(w.threads for w in first):
         say("threads have grown")
-    for name in ("cycle_s", "cpu_s"):
-        before, after = (statistics.median(getattr(w, name) for w in part) for part in (first, last))
+    times: dict[str, Callable[[Window], float]] = {
+        "cycle_s": lambda window: window.cycle_s,
+        "cpu_s in yardsticks": lambda window: window.cpu_s / window.yardstick_s,
+    }
+    for name, of in times.items():
+        before, after = (statistics.median(map(of, part)) for part in (first, last))
         if after > MOST_SLOWER * before:
-            say(f"{name} has grown from {before} to {after}")
+            say(f"{name} has grown from {before:.3f} to {after:.3f}")
 
 
 def main() -> int:
