@@ -79,8 +79,6 @@ def refine(
     maps: LocalMaps,
     index: Sequence[int],
     blur: float,
-    *,
-    restarts: int,
 ) -> list[Refined | None]:
     """Outlines refined on the pixels; None for one that runs away or leaves nothing to see.
 
@@ -92,52 +90,7 @@ def refine(
         maps: The local coordinates.
         index: Which object of `maps` each outline belongs to.
         blur: Expected blur, px.
-        restarts: How often an outline with hidden parts may move on by what its strays ask for, a few px each.
     """
-    found = _refine(image, noise, families, qs, maps, index, blur)
-    # Where a whole side was found elsewhere (at a shadow's end, say), go on from there.
-    latest = dict(enumerate(found))
-    for _ in range(restarts):
-        again = {i: item for i, item in latest.items() if item is not None and 0.6 < item.visible < 0.95}
-        rows = list(again)
-        if not rows:
-            break
-        moved = _moved([families[i] for i in rows], list(again.values()))
-        results = _refine(image, noise, [families[i] for i in rows], moved, maps, [index[i] for i in rows], blur)
-        latest = dict(zip(rows, results, strict=True))
-        for i, item in latest.items():
-            best = found[i]
-            if item is not None and best is not None and item.visible > best.visible:
-                found[i] = item
-    return found
-
-
-def _moved(families: Sequence[Family], items: Sequence[Refined]) -> list[Floats]:
-    """Parameters after the step that the strays of all chunks ask for, which reach further than the fit does."""
-    batch = batch_of(families, [item.q for item in items], range(len(items)), 1.0)
-    _, jacobian = side_distance(batch, middles(batch), np.zeros((len(items), CHUNKS)))
-    stray = np.array([item.strays for item in items])
-    use = ~np.array([item.blank for item in items]) & (np.abs(stray) < _BELIEVED)
-    use &= use.sum(axis=1, keepdims=True) >= CHUNKS // 2
-    turned = jacobian.transpose(0, 2, 1) * use[:, None]
-    normal = turned @ jacobian
-    normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
-    step = np.linalg.solve(normal, -(turned @ np.where(use, stray, 0.0)[..., None]))[..., 0]
-    # An edge that lies s away was measured with half of it outside the profile's reach.
-    batch.q += 1.5 * step
-    return [q[OWN[kind]] for q, kind in zip(batch.q, batch.kind.tolist(), strict=True)]
-
-
-def _refine(
-    image: NDArray[np.uint8],
-    noise: Floats,
-    families: Sequence[Family],
-    qs: Sequence[Floats],
-    maps: LocalMaps,
-    index: Sequence[int],
-    blur: float,
-) -> list[Refined | None]:
-    """One start of `refine`."""
     if not families:
         return []
     batch = batch_of(families, qs, index, blur)
@@ -160,6 +113,69 @@ def _refine(
         if not len(rows):
             break
     return out
+
+
+def refine_on(
+    image: NDArray[np.uint8],
+    noise: Floats,
+    families: Sequence[Family],
+    found: Sequence[Refined],
+    maps: LocalMaps,
+    index: Sequence[int],
+    blur: float,
+    *,
+    restarts: int,
+) -> list[Refined]:
+    """Outlines with hidden parts, moved on by what their strays ask for: the most visible of some restarts.
+
+    Where a whole side was found elsewhere (at a shadow's end, say), a step goes a few px at most.
+
+    Args:
+        image: As for `refine`, like the next.
+        noise: See there.
+        families: See there.
+        found: Where to go on from.
+        maps: As for `refine`, like the next.
+        index: See there.
+        blur: See there.
+        restarts: How many steps.
+    """
+    best = list(found)
+    latest = dict(enumerate(found))
+    for _ in range(restarts):
+        latest = {i: item for i, item in latest.items() if open_sided(item)}
+        rows = list(latest)
+        if not rows:
+            break
+        own = [families[i] for i in rows]
+        moved = _moved(own, list(latest.values()))
+        results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur)
+        latest = {i: item for i, item in zip(rows, results, strict=True) if item is not None}
+        for i, item in latest.items():
+            if item.visible > best[i].visible:
+                best[i] = item
+    return best
+
+
+def open_sided(item: Refined) -> bool:
+    """Whether part of an outline was found and part of it not."""
+    return 0.6 < item.visible < 0.95
+
+
+def _moved(families: Sequence[Family], items: Sequence[Refined]) -> list[Floats]:
+    """Parameters after the step that the strays of all chunks ask for, which reach further than the fit does."""
+    batch = batch_of(families, [item.q for item in items], range(len(items)), 1.0)
+    _, jacobian = side_distance(batch, middles(batch), np.zeros((len(items), CHUNKS)))
+    stray = np.array([item.strays for item in items])
+    use = ~np.array([item.blank for item in items]) & (np.abs(stray) < _BELIEVED)
+    use &= use.sum(axis=1, keepdims=True) >= CHUNKS // 2
+    turned = jacobian.transpose(0, 2, 1) * use[:, None]
+    normal = turned @ jacobian
+    normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
+    step = np.linalg.solve(normal, -(turned @ np.where(use, stray, 0.0)[..., None]))[..., 0]
+    # An edge that lies s away was measured with half of it outside the profile's reach.
+    batch.q += 1.5 * step
+    return [q[OWN[kind]] for q, kind in zip(batch.q, batch.kind.tolist(), strict=True)]
 
 
 def _travelled(batch: Batch, state: State) -> Floats:

@@ -20,11 +20,11 @@ from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
-from controller.vision.scene import Judged, Scene, all_sampled
+from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import feet
 from controller.vision.timing import Stopwatch
-from controller.vision.trial import settled, tried, typical_blur
+from controller.vision.trial import lies_on, settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def open_objects(
     first = _distinct([item for item, use in zip(regions, plain, strict=True) if use], shape, share)
     later = [item for item, use in zip(regions, plain, strict=True) if not use]
     blur = typical_blur(clear, 1.0)
-    scene, first, judged = _round(scene, first, blur, watch)
+    scene, first, judged = _round(scene, first, blur, [], watch)
     done = settled([*clear, *judged], scene)
     # A part that touches a larger one may lie within what that seems to explain.
     open_ = [
@@ -77,12 +77,13 @@ def open_objects(
     rest = [item for item in later if not done.explains(item.contour)]
     pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
     pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
-    scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), watch)
+    certain = [item for item in judged if whole(item)]
+    scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), certain, watch)
     return scene, [*judged, *more]
 
 
 def _round(
-    scene: Scene, regions: list[Region], blur: float, watch: Stopwatch
+    scene: Scene, regions: list[Region], blur: float, certain: Sequence[Judged], watch: Stopwatch
 ) -> tuple[Scene, list[Region], list[Judged]]:
     """Regions fitted and refined; returns the scene with those that could be measured, these, and their outlines."""
     if not regions:
@@ -91,7 +92,7 @@ def _round(
     before = len(scene.regions)
     fits = [[replace(h, region=h.region + before) for h in options] for options in fits]
     scene = scene.with_regions([*scene.regions, *regions], joined(scene.maps, maps))
-    judged = _refined(scene, fits, blur)
+    judged = _refined(scene, fits, blur, certain)
     watch.lap("refine")
     return scene, regions, judged
 
@@ -144,8 +145,17 @@ def _steps(white: Whitened, regions: Sequence[Region]) -> Floats:
     return np.asarray(np.quantile(np.sqrt(np.mean(levels * levels, axis=2)), 0.75, axis=1))
 
 
-def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Judged]:
-    """Hypotheses refined on the pixels, the second best of a region only where the best is not good."""
+def _refined(
+    scene: Scene, fits: list[list[Hypothesis]], blur: float, certain: Sequence[Judged]
+) -> list[Judged]:
+    """Hypotheses refined on the pixels, the second best of a region only where the best is not good.
+
+    Args:
+        scene: The frame.
+        fits: The hypotheses of each region.
+        blur: Expected blur, px.
+        certain: Outlines found before that need no further guess.
+    """
     maps = scene.maps
     judged: list[Judged] = []
     # Centre, size and family of what was tried already.
@@ -161,21 +171,39 @@ def _refined(scene: Scene, fits: list[list[Hypothesis]], blur: float) -> list[Ju
             h = options[rank]
             if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
                 continue
+            if _lies(maps, h, certain):
+                continue
             row = np.array([*(maps.centers[h.region] + h.q[:2]), h.size, h.family.parameters])
             if _same(row, known[:count]):
                 continue
             known[count] = row
             count += 1
             wanted.append(h)
-        judged += tried(scene, wanted, blur)
+        judged += tried(scene, wanted, blur, certain)
         blur = typical_blur(judged, blur)
     if scene.sides:
-        good_ones = [j for j in judged if j.badness < 1.0 or math.isinf(j.badness)]
+        certain = [*certain, *(j for j in judged if whole(j))]
+        good_ones = [
+            j for j in judged
+            if whole(j) or ((j.badness < 1.0 or math.isinf(j.badness)) and not lies_on(*_middle(j), j.area, certain))
+        ]  # fmt: skip
         assert scene.plane is not None
         below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
         tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]
-        judged += tried(scene, tops, blur)
+        judged += tried(scene, tops, blur, restarts=0)
     return judged
+
+
+def _lies(maps: LocalMaps, h: Hypothesis, certain: Sequence[Judged]) -> bool:
+    """`lies_on` of a hypothesis."""
+    x, y = maps.to_pixels(h.region, h.q[None, :2])[0].tolist()
+    return lies_on(x, y, h.size**2, certain)
+
+
+def _middle(item: Judged) -> tuple[float, float]:
+    """Middle of an outline's box, px."""
+    x0, y0, x1, y1 = item.box
+    return 0.5 * (x0 + x1), 0.5 * (y0 + y1)
 
 
 def _top_within(scene: Scene, item: Judged, below: Floats) -> Hypothesis:

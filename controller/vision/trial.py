@@ -15,7 +15,7 @@ from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
 from controller.vision.padded import ROUND
 from controller.vision.proposals import Contour
-from controller.vision.refine import Refined, refine
+from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE, area, vertices
 from controller.vision.silhouette import feet
@@ -25,39 +25,86 @@ Floats = NDArray[np.float64]
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
 _HALF_SEEN = 0.55
 """Share of a silhouette's outline that its top face's shape explains at least."""
+_RESTARTS = 3
+"""How often an outline with hidden parts may move on."""
+_ALIKE = 0.5, 1.6
+"""Ratios of areas between which two outlines around one place are one thing: not a print, nor a pair that touches."""
 _THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 
 
-def tried(scene: Scene, wanted: list[Hypothesis], blur: float) -> list[Judged]:
+def tried(
+    scene: Scene, wanted: list[Hypothesis], blur: float, certain: Sequence[Judged] = (), *, restarts: int = _RESTARTS
+) -> list[Judged]:
     """Hypotheses refined, those with a visible outline.
 
     Where side faces show, outlines half seen are kept as well, with a badness that nobody believes: they may be
     silhouettes, whose one half is the top face's.
+
+    Args:
+        scene: The frame.
+        wanted: The hypotheses.
+        blur: Expected blur, px.
+        certain: Outlines found before that need no further guess.
+        restarts: How often those with hidden parts may move on.
     """
-    settings, maps = scene.settings, scene.maps
-    refined = refine(
-        scene.image, scene.noise, [h.family for h in wanted], [h.q for h in wanted], maps,
-        [h.region for h in wanted], blur, restarts=3,
+    image, noise, maps = scene.image, scene.noise, scene.maps
+    families, index = [h.family for h in wanted], [h.region for h in wanted]
+    refined = refine(image, noise, families, [h.q for h in wanted], maps, index, blur)
+    judged = _judged(scene, wanted, refined)
+    # What lies around an outline that is certain is no better for being sought again.
+    certain = [*certain, *(item for item in judged if item is not None and whole(item))]
+    rows = []
+    for i, (h, item) in enumerate(zip(wanted, refined, strict=True)):
+        if item is not None and open_sided(item):
+            x, y = maps.to_pixels(h.region, item.q[None, :2])[0].tolist()
+            if not lies_on(x, y, float(area(h.family, item.q[None])[0]), certain):
+                rows.append(i)
+    if rows:
+        again = [wanted[i] for i in rows]
+        start = [item for i in rows if (item := refined[i]) is not None]
+        better = refine_on(
+            image, noise, [families[i] for i in rows], start, maps, [index[i] for i in rows], blur, restarts=restarts
+        )
+        for i, last in zip(rows, _judged(scene, again, better), strict=True):
+            judged[i] = last
+    return [item for item in judged if item is not None]
+
+
+def lies_on(x: float, y: float, covered: float, certain: Sequence[Judged]) -> bool:
+    """Whether the middle of an outline (px) of an area lies on another that is certain and of about its size."""
+    return any(
+        other.box[0] < x < other.box[2] and other.box[1] < y < other.box[3]
+        and _ALIKE[0] * covered < other.area < _ALIKE[1] * covered
+        and cv2.pointPolygonTest(other.outline.astype(np.float32), (x, y), False) > 0.0
+        for other in certain
     )  # fmt: skip
+
+
+def _judged(
+    scene: Scene, wanted: Sequence[Hypothesis], refined: Sequence[Refined | None]
+) -> list[Judged | None]:
+    """What is to be thought of refined hypotheses; None of what nobody sees."""
+    settings, maps = scene.settings, scene.maps
     least = min(settings.visible, _HALF_SEEN) if scene.sides else settings.visible
     shown = [
-        (h, r) for h, r in zip(wanted, refined, strict=True)
+        (i, h, r) for i, (h, r) in enumerate(zip(wanted, refined, strict=True))
         if r is not None and r.visible >= least
         and r.levels >= settings.minimum_contrast and r.contrast >= 1.0
     ]  # fmt: skip
     kept = [
-        (*item, outline) for item, outline in zip(shown, _outlines(maps, shown), strict=True)
+        (*item, outline)
+        for item, outline in zip(shown, _outlines(maps, [(h, r) for _, h, r in shown]), strict=True)
         if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
-    ]  # fmt: skip
-    outlines = [outline for _, _, outline in kept]
-    out = []
-    for (h, r, outline), rim, slack in zip(kept, all_sampled(outlines), _slack(scene, outlines), strict=True):
+    ]
+    outlines = [outline for _, _, _, outline in kept]
+    out: list[Judged | None] = [None] * len(wanted)
+    for (i, h, r, outline), rim, slack in zip(kept, all_sampled(outlines), _slack(scene, outlines), strict=True):
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
         badness = r.misfit / allowed if r.visible >= settings.visible else math.inf
-        out.append(Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1)))
+        out[i] = Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1))
     return out
 
 
