@@ -150,10 +150,12 @@ def refine_on(
         own = [families[i] for i in rows]
         moved = _moved(own, list(latest.values()))
         results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur)
-        latest = {i: item for i, item in zip(rows, results, strict=True) if item is not None}
-        for i, item in latest.items():
-            if item.visible > best[i].visible:
-                best[i] = item
+        # A step that shows no more of it leads nowhere.
+        latest = {
+            i: item for i, item in zip(rows, results, strict=True)
+            if item is not None and item.visible > best[i].visible
+        }  # fmt: skip
+        best = [latest.get(i, item) for i, item in enumerate(best)]
     return best
 
 
