@@ -36,6 +36,7 @@ _LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the m
 _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
 # What makes one push better than another that frees the target as well, in mm of travel.
 _COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
+_BOTH = 2.0  # mm within which both fingers meet a part about at once
 _MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
 
 
@@ -50,6 +51,7 @@ class Push:
         direction: Closing direction of the jaws, rad.
         travel: How far the part is expected to go, mm.
         lever: How far beside the part's middle the gripper meets it, mm: what turns it.
+        slack: How far the gripper goes beyond `GAP` and the part's sigma until it meets the part, mm.
         cost: The less the better.
     """
 
@@ -59,6 +61,7 @@ class Push:
     direction: float
     travel: float
     lever: float
+    slack: float
     cost: float
 
 
@@ -142,7 +145,7 @@ class _Scene:
             if into > _INTO or not inside:
                 continue
             for push in self.free_pushes(moved, heading, direction, blocked, through=True):
-                by = (GAP + moved.sigma + SHOVE) * ahead
+                by = (GAP + moved.sigma + push.slack + SHOVE) * ahead
                 cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
                 yield replace(push, by=(float(by[0]), float(by[1])), travel=SHOVE, cost=cost)
 
@@ -188,14 +191,17 @@ class _Scene:
         deep, wide = (half_across, half_closing) if broad else (half_closing, half_across)
         hull = _hull(moved) - np.array(moved.center)
         back = float((hull @ ahead).min())
+        askew = 0.0
         if self.tangent is not None:
             # The gripper turns with the waist: it comes down askew to its push.
             x, y = np.array(moved.center) + (back - deep) * ahead
-            skew = abs(angle_difference(self.tangent((float(x), float(y))), direction, math.pi))
+            askew = angle_difference(self.tangent((float(x), float(y))), direction, math.pi)
+            skew = abs(askew)
             deep, wide = (
                 deep * math.cos(skew) + wide * math.sin(skew),
                 wide * math.cos(skew) + deep * math.sin(skew),
             )
+        fingers = _fingers(self.gripper, direction + askew, ahead, left)
         away = blocked - np.array(moved.center)
         along, beside = away @ ahead, away @ left
         room = grasps.MIN_CLEARANCE + moved.sigma
@@ -203,7 +209,7 @@ class _Scene:
         gap = GAP + moved.sigma
         rim = _rim(hull)
         for aside in _ASIDE:
-            # The box meets what of the rim lies in its way, which need not be the rearmost corner.
+            # The box keeps clear of what of the rim lies in its way, which need not be the rearmost corner.
             met = rim[np.abs(rim @ left - aside) < wide + room]
             if not len(met):
                 continue
@@ -213,14 +219,16 @@ class _Scene:
             if (lane & (np.abs(along - middle) < deep + room)).any():
                 continue
             coming = along[lane & (along > middle)]
-            free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap)
-            if free < TRAVELS[0] and not through:
+            slack, lever = _contact(fingers, rim @ ahead - middle, rim @ left - aside, aside)
+            slack -= gap
+            free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap - slack)
+            if not math.isfinite(slack) or (free < TRAVELS[0] and not through):
                 continue
             start = np.array(moved.center) + middle * ahead + aside * left
             cost = abs(aside) + (0.0 if broad else _COST_NARROW)
             yield Push(
                 moved, (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), direction, free,
-                float(abs(first @ left)), cost,
+                lever, slack, cost,
             )  # fmt: skip
 
     def first_that_frees(self, push: Push, rest: Array) -> Push | None:
@@ -238,7 +246,10 @@ class _Scene:
             if cv2.pointPolygonTest(self.border, (float(x), float(y)), True) < AREA_MARGIN:
                 return None
             ends = lands(moved, travel * ahead)
-            if turns:
+            if push.lever == 0.0:
+                # Both fingers hold a side or a corner of it.
+                ends = ends[:1]
+            elif turns:
                 ends = ends[-1:]
             if all(self._freed(moved, end, rest) for end in ends):
                 cost = push.cost + travel - (_LEVER_WORTH * push.lever if turns else 0.0)
@@ -248,7 +259,7 @@ class _Scene:
                     within = grasps.reach_about(moved, self.gripper)
                     if not self.can_be_taken(ends[-1], grasps.obstacles(stays, self.bins, ends[-1].center, within)):
                         cost += _COST_BLOCKED
-                by = (gap + travel) * ahead
+                by = (gap + push.slack + travel) * ahead
                 return replace(push, by=(float(by[0]), float(by[1])), travel=travel, cost=cost)
         return None
 
@@ -285,6 +296,54 @@ def _free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: A
     front = np.where(gaps < 2.0 * BUMP, (edge @ ahead)[None], -math.inf).max(axis=1)
     front = np.where(np.isfinite(front), front, -reach)
     return float((along[lane] - front).min()) - BUMP
+
+
+def _fingers(gripper: Gripper, direction: float, ahead: Array, left: Array) -> Array:
+    """Edges of the two closed fingers about the gripper's middle: ndarray of shape (8, 2, 2), (ahead, left) in mm.
+
+    Between fingers closed as far as they go there still is their narrowest opening, into which a corner fits.
+    """
+    thickness, across = gripper.jaw_size
+    half = gripper.opening[0] / 2.0
+    axis = np.array([math.cos(direction), math.sin(direction)])
+    normal = np.array([-axis[1], axis[0]])
+    edges = []
+    for side in (1.0, -1.0):
+        corners = [
+            side * (half + out * thickness) * axis + beside * across / 2.0 * normal
+            for out, beside in ((0.0, -1.0), (1.0, -1.0), (1.0, 1.0), (0.0, 1.0))
+        ]
+        placed = np.array(corners) @ np.column_stack([ahead, left])
+        edges.append(np.stack([placed, np.roll(placed, -1, axis=0)], axis=1))
+    return np.concatenate(edges)
+
+
+def _contact(fingers: Array, along: Array, beside: Array, aside: float) -> tuple[float, float]:
+    """How far fingers go ahead until they meet points of a rim, and how far beside the rim's middle that is, mm.
+
+    Args:
+        fingers: See `_fingers`.
+        along: ndarray of shape (N,): the points, ahead of the gripper's middle.
+        beside: ndarray of shape (N,): the points, left of it.
+        aside: How far the gripper's middle stands left of the rim's.
+
+    Returns:
+        inf and 0 when they pass on both sides of it. What both fingers meet is not turned: 0 beside.
+    """
+    start, end = fingers[:, 0], fingers[:, 1]
+    across = end[:, 1] - start[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (beside[:, None] - start[:, 1]) / across
+        front = start[:, 0] + share * (end[:, 0] - start[:, 0])
+    ways = along[:, None] - np.where((share >= 0.0) & (share <= 1.0), front, -math.inf)
+    nearest = ways.reshape(len(along), 2, -1).min(axis=(0, 2))  # of each finger
+    way = float(nearest.min())
+    if not math.isfinite(way):
+        return math.inf, 0.0
+    if nearest.max() - way < _BOTH:
+        return way, 0.0
+    index = int(ways.min(axis=1).argmin())
+    return way, abs(float(beside[index]) + aside)
 
 
 def _rim(hull: Array) -> Array:
