@@ -166,6 +166,8 @@ class Trajectory:
         resting: ndarray of shape (N, J), rad: what they are told to stand still there: sag only; None: `goals`.
         braking: ndarray of shape (N, J), rad s: what a goal changes by when the progress along the move changes,
             for each 1/s of it: the inertia's share; None: nothing.
+        narrow: s along the move, where it gets among other things: jaws that are to take an opening on the way must
+            have it by then, and the move waits for them; None: nowhere.
     """
 
     name: str
@@ -174,6 +176,7 @@ class Trajectory:
     goals: Array
     resting: Array | None = None
     braking: Array | None = None
+    narrow: float | None = None
 
     @property
     def duration(self) -> float:

@@ -32,8 +32,10 @@ _CIRCLE_DIRECTIONS = 12
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
 _TRIANGLE_TURN = math.radians(20.0)
-# Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot.
+# Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot. What is
+# round touches them with one line only, which must stay well off their edge.
 _SHIFTS = (4.0, -4.0, 7.0, -7.0)
+_ROUND_SHIFTS = (4.0, -4.0)
 _SHIFT_QUALITY = 0.8
 _FLUSH_TURN = math.radians(20.0)  # turned by more, shifted jaws might not bring a part flush
 
@@ -97,8 +99,10 @@ def oblique_sides(part: LocatedObject) -> tuple[Side, ...]:
 
 def shifted_sides(offers: Sequence[Side], part: LocatedObject) -> tuple[Side, ...]:
     """The same directions with the jaws beside the part's middle, for when a neighbour leaves no room before it."""
-    flat = [side for side in offers if part.shape is Shape.CIRCLE or _turned(part, side.direction) <= _FLUSH_TURN]
-    return tuple(replace(side, quality=_SHIFT_QUALITY * side.quality, shift=by) for by in _SHIFTS for side in flat)
+    rounded = part.shape is Shape.CIRCLE
+    flat = [side for side in offers if rounded or _turned(part, side.direction) <= _FLUSH_TURN]
+    shifts = _ROUND_SHIFTS if rounded else _SHIFTS
+    return tuple(replace(side, quality=_SHIFT_QUALITY * side.quality, shift=by) for by in shifts for side in flat)
 
 
 def _turned(part: LocatedObject, direction: float) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Array, Bin, Gripper, LocatedObject, Point, Shape
 from controller.errors import NoClearGrasp
-from controller.geometry import angle_difference, wrap
+from controller.geometry import wrap
 from controller.motion import grasps
 
 GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
@@ -165,7 +165,10 @@ class _Scene:
         return np.concatenate(points)
 
     def headings(self, moved: LocatedObject) -> Iterable[tuple[float, float]]:
-        """(heading of the push, closing direction): the broad face of the gripper leads, or its narrow one."""
+        """(heading of the push, closing direction).
+
+        The broad face of the gripper leads, or its narrow one; without a wrist roll a corner of it may.
+        """
         if self.tangent is None:
             for k in range(_HEADINGS):
                 heading = 2.0 * math.pi * k / _HEADINGS
@@ -173,8 +176,8 @@ class _Scene:
                 yield heading, heading
         else:
             direction = self.tangent(moved.center)
-            for k in range(4):
-                yield direction + k * math.pi / 2, direction
+            for k in range(_HEADINGS):
+                yield direction + 2.0 * math.pi * k / _HEADINGS, direction
 
     def free_pushes(
         self, moved: LocatedObject, heading: float, direction: float, blocked: Array, *, through: bool = False
@@ -186,22 +189,13 @@ class _Scene:
         ahead = np.array([math.cos(heading), math.sin(heading)])
         left = np.array([-ahead[1], ahead[0]])
         broad = abs(math.sin(heading - direction)) > 0.5
-        thickness, across = self.gripper.jaw_size
-        half_closing, half_across = self.gripper.opening[0] / 2.0 + thickness, across / 2.0
-        deep, wide = (half_across, half_closing) if broad else (half_closing, half_across)
         hull = _hull(moved) - np.array(moved.center)
-        back = float((hull @ ahead).min())
-        askew = 0.0
+        fingers = _fingers(self.gripper, direction, ahead, left)
         if self.tangent is not None:
-            # The gripper turns with the waist: it comes down askew to its push.
-            x, y = np.array(moved.center) + (back - deep) * ahead
-            askew = angle_difference(self.tangent((float(x), float(y))), direction, math.pi)
-            skew = abs(askew)
-            deep, wide = (
-                deep * math.cos(skew) + wide * math.sin(skew),
-                wide * math.cos(skew) + deep * math.sin(skew),
-            )
-        fingers = _fingers(self.gripper, direction + askew, ahead, left)
+            # The gripper turns with the waist: where it comes down it stands otherwise than at the part.
+            x, y = np.array(moved.center) + (float((hull @ ahead).min()) - fingers[..., 0].max()) * ahead
+            fingers = _fingers(self.gripper, self.tangent((float(x), float(y))), ahead, left)
+        deep, wide = float(fingers[..., 0].max()), float(fingers[..., 1].max())
         away = blocked - np.array(moved.center)
         along, beside = away @ ahead, away @ left
         room = grasps.MIN_CLEARANCE + moved.sigma

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -353,9 +354,16 @@ class Planner:
             except LimitViolation as error:
                 failure = failure or error
             else:
-                return trajectory
+                return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
         assert failure is not None
         raise failure
+
+    def _among_parts(self, approach: Trajectory, down: Leg, rounded: float) -> float:
+        """When an approach has come `rounded` mm down from the top of its descent, s."""
+        height = points(self.arm, approach.positions)[:, 3, 2]
+        top = points(self.arm, down.start[None])[0, 3, 2]
+        over = np.flatnonzero(height > top - rounded - 1.0)
+        return float(over[-1] if len(over) else 0) * approach.period
 
     def _trajectory(
         self,

@@ -202,14 +202,12 @@ class DynamixelArm:
             if stop_requested():
                 return MoveReport(False, state, 0.0)
             with body.watched():
-                errands = [] if opening is None else [(after, self._jaws_to(opening, state.opening))]
-                return Follower(body, trajectory, state, stop_requested, lambda: self._paused, errands).run()
-
-    def _jaws_to(self, opening: float, now: float) -> Callable[[], object]:
-        """Sends the jaws to an opening (mm) from the one they have, when it is called."""
-        gripper = self.description.gripper
-        wanted = min(max(opening, gripper.opening[0]), gripper.opening[1])
-        return lambda: send_jaws(self._body, wanted, angle_from_opening(gripper, now))
+                errands: list[tuple[float, Callable[[], object]]] = []
+                if opening is not None:
+                    gripper, now = self.description.gripper, state.opening
+                    wanted = opening = min(max(opening, gripper.opening[0]), gripper.opening[1])
+                    errands = [(after, lambda: send_jaws(body, wanted, angle_from_opening(gripper, now)))]
+                return Follower(body, trajectory, state, stop_requested, lambda: self._paused, errands, opening).run()
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:
         """Move the jaws to a clear opening (mm) or until they stop on something; blocks.

@@ -18,9 +18,9 @@ import numpy as np
 from controller.domain import ArmState, MoveReport, ServoCycle, Trajectory
 from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout
 from drivers.arm.body import WATCHDOG, Body, MissCounter, StopRequested
-from drivers.arm.conversions import ticks_from_angles
+from drivers.arm.conversions import opening_from_angle, ticks_from_angles
 from drivers.arm.servos import Telemetry
-from drivers.arm.streaming import Progress
+from drivers.arm.streaming import STOP_TIME, Progress
 
 START_TOLERANCE = 0.05
 """Largest distance of a joint from a trajectory's start, rad: sag and joint offsets stay below, other poses not."""
@@ -30,6 +30,13 @@ OFFSET_LIMIT = 0.15
 
 FOLLOWING_LIMIT = 0.30
 """Largest distance of a joint from its path, rad: an XM430 asks for its whole stall torque at 0.22."""
+
+JAW_TOLERANCE = 2.0
+"""Largest distance of the jaws from their opening when they get among other things, mm: half of the room that grasps
+keep from everything."""
+
+JAW_TIMEOUT = 2.0
+"""s for which a move waits for its jaws: the whole way takes 1.3 at the slowest."""
 
 _FOLLOWING_CYCLES = 5
 _SETTLED_SPEED = 0.05  # rad/s: two units of Present_Velocity
@@ -81,6 +88,7 @@ class Follower:
         stop_requested: Asked every cycle.
         paused: Asked every cycle: whether to hold on the way.
         errands: (s along the trajectory, what to do there), in order.
+        opening: Clear opening that the jaws take on the way, mm; None: they are left alone.
     """
 
     def __init__(
@@ -91,8 +99,12 @@ class Follower:
         stop_requested: StopRequested,
         paused: Callable[[], bool],
         errands: Sequence[tuple[float, Callable[[], object]]] = (),
+        opening: float | None = None,
     ) -> None:
         self._errands = list(errands)
+        self._opening = opening
+        self._jaws = state.opening
+        self._waited = 0.0
         self._body = body
         self._trajectory = trajectory
         self._stop_requested = stop_requested
@@ -139,7 +151,25 @@ class Follower:
             last += elapsed
             if elapsed > WATCHDOG / 2.0:
                 self._guard(self._after_silence)
-            progress.advance(elapsed, ending or self._paused())
+            waiting = self._wait_for_jaws(elapsed)
+            progress.advance(elapsed, ending or waiting or self._paused())
+
+    def _wait_for_jaws(self, elapsed: float) -> bool:
+        """Whether the move has to wait before it gets among other things: jaws too wide would come down on them."""
+        narrow, wanted = self._trajectory.narrow, self._opening
+        # Slowing down takes half of its time off the way that is left, and begins with the next goal.
+        ahead = 0.5 * STOP_TIME + 2.0 * self._trajectory.period
+        if narrow is None or wanted is None or self._progress.phase < narrow - ahead:
+            return False
+        if not self._errands and abs(self._jaws - wanted) <= JAW_TOLERANCE:
+            self._opening = None
+            return False
+        self._waited += elapsed
+        if self._waited > JAW_TIMEOUT and self._failure is None:
+            cause = f"the jaws stand at {self._jaws:.0f} mm, told {wanted:.0f}"
+            remedy = "look what is between them, then reset"
+            self._failure = MotionTimeout(self._body.gripper.title, self._trajectory.name, cause, remedy)
+        return True
 
     def _report(self) -> MoveReport:
         state = self._body.state()
@@ -165,6 +195,9 @@ class Follower:
             if telemetry is not None:
                 self._present[index] = telemetry.position
                 self._speeds[index] = abs(telemetry.velocity)
+        jaw = found.get(self._body.gripper.servo_id)
+        if jaw is not None:
+            self._jaws = opening_from_angle(self._body.description.gripper, jaw.position)
         error = np.abs(self._present - self._progress.positions)
         self._worst = max(self._worst, float(error.max()))
         self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from controller.domain import Array, Trajectory
 from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout, ServoFault
 from drivers.arm.body import WATCHDOG
-from drivers.arm.conversions import TICKS_PER_RAD
-from drivers.arm.following import FOLLOWING_LIMIT
+from drivers.arm.conversions import TICKS_PER_RAD, opening_from_angle
+from drivers.arm.following import FOLLOWING_LIMIT, JAW_TOLERANCE
 from drivers.arm.streaming import STOP_TIME
 from sim_backends.virtual_dynamixel.bench import IdealPlant
 from sim_backends.virtual_dynamixel.bus import VirtualBus
@@ -124,6 +125,38 @@ def test_a_stop_ends_a_grip_where_the_jaws_are() -> None:
         assert 35.0 < report.opening < 69.0
         bench.plant.advance(0.5)
         assert abs(arm.state().opening - report.opening) < 8.0  # what the jaws coast at half speed
+
+
+@pytest.mark.parametrize(("before", "opening"), [(72.0, 32.0), (32.0, 72.0)])
+def test_a_move_waits_for_its_jaws_before_it_gets_narrow(before: float, opening: float) -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        arm.grip(before)
+        narrow = 0.3
+        move = replace(_move(bench, 0.6), narrow=narrow)
+        there = move.positions[round(narrow / move.period), 0]
+        jaws: list[float] = []
+        gripper = bench.description.gripper
+
+        def look(_: float) -> None:
+            if bench.positions()[0] > there + 0.01 and not jaws:  # what the unloaded joint swings past its rest
+                angle = bench.plant.shaft(JAW).angle
+                jaws.append(opening_from_angle(gripper, -angle if gripper.reverse else angle))
+
+        bench.plant.on_step(look)
+        assert arm.follow(move, opening).finished
+        assert np.abs(bench.positions() - move.positions[-1]).max() < STANDS
+    assert abs(jaws[0] - opening) <= JAW_TOLERANCE
+
+
+def test_jaws_that_something_keeps_open_do_not_come_down() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        arm.grip(72.0)
+        angle = bench.plant.shaft(JAW).angle
+        bench.plant.block(JAW, angle - 0.1, angle + 0.1)
+        with pytest.raises(MotionTimeout, match="jaws stand at"):
+            arm.follow(replace(_move(bench), narrow=0.5), 32.0)
 
 
 # --- late cycles ------------------------------------------------------------------------------------------

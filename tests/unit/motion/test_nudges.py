@@ -13,7 +13,7 @@ from controller.errors import NoClearGrasp, PlanError
 from controller.geometry import invert, transform
 from controller.motion import grasps, kinematics, nudges
 from controller.motion.planner import PUSH_SPEED, Planner
-from tests.unit.motion.scene import RX150, at, bins, calibration, part, polygon_gap
+from tests.unit.motion.scene import PARTS, RX150, at, bins, calibration, part, polygon_gap
 
 OMX = load_arm("open_manipulator_x")
 T_TABLE_BASE = invert(calibration().T_base_table)
@@ -124,6 +124,38 @@ def test_a_rectangle_too_wide_as_it_lies_is_turned() -> None:
     plan = planner.plan_nudge(target, (), AREA, np.array(OMX.ready))
     end = nudges.lands(target, np.array(plan.by))[-1]
     planner.plan_pick(end, (), planner.bins[0], planner.bins[0].center, np.array(OMX.ready))
+
+
+@given(seed=st.integers(0, 100_000), arm=st.sampled_from([RX150.name, OMX.name]))
+@settings(max_examples=8, deadline=None)
+def test_fingers_go_as_far_into_a_part_as_it_is_pushed(seed: int, arm: str) -> None:
+    """Between closed fingers a corner or a round side goes in before anything is pushed."""
+    rng = np.random.default_rng(seed)
+    planner = PLANNERS[arm]
+    x, y = place = at(200.0, rng.uniform(-20.0, 20.0))
+    target = part(PARTS[seed % 5], rng.uniform(34.0, 44.0), place, rng.uniform(0.0, 6.3))
+    other = part(Shape.SQUARE, 38.0, (x + rng.uniform(-10, 10), y + 48.0))
+    try:
+        plan = planner.plan_nudge(target, [other], AREA, np.array(planner.arm.ready))
+    except PlanError:
+        return
+    gripper = planner.arm.gripper
+    half, across = plan.opening / 2.0, gripper.jaw_size[1] / 2.0
+    end = kinematics.forward(planner.arm, plan.push.positions[-1:])[0]
+    ahead = np.array(plan.by) / math.hypot(*plan.by)
+    outline = counter_clockwise(plan.moved.footprint)
+    deepest = 0.0
+    for side in (1.0, -1.0):
+        ends = (side * half, side * (half + gripper.jaw_size[0]))
+        corners = [[gripper.jaw_depth, a, b] for a, b in zip(ends * 2, (-across, -across, across, across), strict=True)]
+        finger = counter_clockwise(transform(T_TABLE_BASE @ end, np.array(corners)[[0, 1, 3, 2]])[:, :2])
+        for back in np.arange(0.0, math.hypot(*plan.by) + 6.0, 1.0):
+            if polygon_gap(finger - back * ahead, outline) > 0.0:
+                break
+            deepest = max(deepest, back)
+    # Steps of 1 mm, 2 between the points of a side; without a wrist roll the fingers turn with the waist on the way.
+    turned = (half + gripper.jaw_size[0]) * math.hypot(*plan.by) / 180.0 if arm == OMX.name else 0.0
+    assert deepest == pytest.approx(math.hypot(*plan.by), abs=3.0 + turned)
 
 
 def test_nothing_is_pushed_out_of_the_area() -> None:
