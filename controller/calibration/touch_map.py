@@ -13,7 +13,7 @@ Image = NDArray[np.uint8]
 
 _SCALE = 2.0  # px a mm
 _BORDER = 50
-_PANEL = 330
+_PANEL = 370
 _REACH = 30.0  # mm within which a place speaks for its neighbourhood
 _MAGNIFIED = 20.0  # arrows against the table
 _INK, _PALE = (60, 50, 40), (150, 145, 140)

@@ -52,6 +52,9 @@ ConfigFile = Annotated[Path | None, typer.Option("--config", metavar="FILE", hel
 Sim = Annotated[bool, typer.Option("--sim", help="The simulated cell: no hardware is touched.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulated world.")]
 LevelOf = Annotated[Level, typer.Option("--level", help="How imperfect the simulated world is.")]
+ArmName = Annotated[
+    str | None, typer.Option("--arm", metavar="NAME", help="Another arm than the configuration's, e.g. pincherx_100.")
+]
 Folder = Annotated[
     Path | None,
     typer.Option("--calibration", metavar="DIR", help="Folder of the calibration (real cell: in its state folder)."),
@@ -151,12 +154,14 @@ def arm(
     sim: Sim = False,
     seed: Seed = 0,
     level: LevelOf = Level.DYNAMIC,
+    arm_name: ArmName = None,
     calibration: Folder = None,
     as_json: AsJson = False,
 ) -> int:
     """Where the arm stands and how its joints are mounted: it shows the marker on its gripper to the camera.
 
-    Examples: controller calibrate arm --sim --calibration cal | controller calibrate arm --config cell.toml
+    Examples: controller calibrate arm --sim --calibration cal | controller calibrate arm --config cell.toml |
+    controller calibrate arm --sim --arm pincherx_100 --calibration cal
 
     Moves the arm. A real cell needs camera.json and table.json in the folder, and an empty table; the simulated
     cell makes both first. An arm without a wrist roll needs one thing more: a round part of 35 to 60 mm, as high as
@@ -164,7 +169,7 @@ def arm(
     the closed jaws tells where they are, which the marker never does. Without it such an arm gets no certificate.
     Ctrl-C stops the arm along its path, parks it and lets go of the torque.
     """
-    options = _options(config, sim, seed, level, calibration)
+    options = _options(config, sim, seed, level, calibration, arm_name)
     with open_cell(options) as (devices, folder), _stoppable(devices) as received:
         began = devices.clock.now()
         with _or_interrupted(received):
@@ -189,6 +194,7 @@ def check(
     sim: Sim = False,
     seed: Seed = 0,
     level: LevelOf = Level.DYNAMIC,
+    arm_name: ArmName = None,
     calibration: Folder = None,
     points: Annotated[int, typer.Option(min=20, max=200, help="Places to touch.")] = 30,
     as_json: AsJson = False,
@@ -200,7 +206,7 @@ def check(
     Moves the arm down to 5 mm over the table, which must be empty. Writes certificate.json and certificate.png into
     the folder; without one, a simulated cell is calibrated first. Exit code 1 when the verdict is `failed`.
     """
-    options = _options(config, sim, seed, level, calibration)
+    options = _options(config, sim, seed, level, calibration, arm_name)
     result: dict[str, Any] = {}
     given = own_folder(options)
     if given is not None:
@@ -276,12 +282,16 @@ def restore(
     _report(result, None, as_json)
 
 
-def _options(config: Path | None, sim: bool, seed: int, level: Level, folder: Path | None) -> CalibrationOptions:
+def _options(
+    config: Path | None, sim: bool, seed: int, level: Level, folder: Path | None, arm_name: str | None
+) -> CalibrationOptions:
     if config is None and not sim:
         raise ConfigError(
             "a real cell needs its configuration", "name it with --config FILE, or try the simulation with --sim"
         )
-    cell = load_cell(config or default_config())
+    cell = load_cell(config or default_config(arm_name))
+    if arm_name is not None:
+        cell = cell.model_copy(update={"arm": cell.arm.model_copy(update={"description": arm_name})})
     return CalibrationOptions(cell, sim, seed, level, folder, lambda line: print(line, file=sys.stderr))
 
 

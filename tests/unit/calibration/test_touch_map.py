@@ -20,7 +20,7 @@ def certificate(errors: list[list[float]], verdict: str) -> Certificate:
 def test_a_corner_that_misses_stands_out_on_the_side_where_it_is() -> None:
     # x of the table is up and y to the left: the first place is at the upper left.
     picture = touch_map(certificate([[1.5, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], FAILED), SQUARE, "2030-01-01")
-    assert picture.shape == (500, 830, 3)
+    assert picture.shape == (500, 870, 3)
     quiet = np.asarray(picture[50:450, 50:450].astype(int))
     brightness = quiet[..., 1]  # green grows along the scale
     corners = [brightness[a : a + 100, b : b + 100].mean() for a, b in ((0, 0), (0, 300), (300, 0), (300, 300))]
