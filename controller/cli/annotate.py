@@ -17,6 +17,7 @@ from controller.cli.looking import Looking
 from controller.cli.output import stdout
 from controller.domain import Detection, Shape
 from controller.errors import InputError
+from controller.vision.appearance.look import Names, named
 from controller.vision.classes.store import checked_name, load_classes
 from controller.vision.classes.taught import Taught
 from controller.vision.read import read_image
@@ -67,7 +68,7 @@ def annotate(
             continue
         detections, surfaces, plane = looking.at(file, whole_only=False)
         if taught is not None:
-            detections = taught.label(detections, surfaces, plane)
+            detections = named(detections, surfaces, Names(), taught.names(detections, surfaces, plane))
         height, width = read_image(file).shape[:2]
         objects = [_object(item) for item in detections]
         known[file.name] = {"file": file.name, "size": [width, height], "n": len(objects), "objects": objects}

@@ -117,13 +117,12 @@ def name_pictures(
     looking = Looking(recipe, camera, table, height_mm)
     for path in picture_files(images):
         detections, surfaces, plane = looking.at(path)
-        labelled = taught.label(detections, surfaces, plane)
-        names = set(taught.classifier.names)
-        said = [item.label if item.label in names else "unknown" for item in labelled]
+        known = dict(zip(surfaces.which, taught.names(detections, surfaces, plane), strict=True))
+        said = [known.get(k) or "unknown" for k in range(len(detections))]
         if as_json:
             objects = [
                 {"class": name, "center_px": [round(v, 2) for v in item.center_px]}
-                for name, item in zip(said, labelled, strict=True)
+                for name, item in zip(said, detections, strict=True)
             ]
             print(json.dumps({"image": str(path), "objects": objects}), flush=True)
         else:

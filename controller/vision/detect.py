@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Descriptors, Detection, Frame, Shape
 from controller.geometry import PlaneMap
-from controller.vision.appearance.look import look, named
+from controller.vision.appearance.look import look, named, names
 from controller.vision.classes.taught import Taught
 from controller.vision.describe import Rings, described
 from controller.vision.models import naming
@@ -90,11 +90,11 @@ def detect(
     watch.lap("describe")
     if recipe.appearance.colour or recipe.appearance.texture or classes is not None:
         surfaces = look(image, detections, recipe.appearance)
-        detections = named(detections, surfaces, recipe.appearance)
+        said = names(surfaces, recipe.appearance)
         watch.lap("appearance")
-        if classes is not None:
-            detections = classes.label(detections, surfaces, plane)
-            watch.lap("classes")
+        labels = classes.names(detections, surfaces, plane) if classes is not None else ()
+        detections = named(detections, surfaces, said, labels)
+        watch.lap("classes")
     return Detected(tuple(detections), watch.result())
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from controller.domain import Detection, Frame
 from controller.vision.appearance import colour, texture
-from controller.vision.appearance.look import look, named
+from controller.vision.appearance.look import look, named, names
 from controller.vision.appearance.settings import Appearance
 from controller.vision.classes.features import features
 from controller.vision.classes.markings import tiles_of
@@ -103,14 +103,14 @@ def added(title: str, kinds: Sequence[str], classes: Taught, seed: int, repeats:
 
     def whole() -> list[Detection]:
         seen = look(picture, found, _SETTINGS)
-        return classes.label(named(found, seen, _SETTINGS), seen, None)
+        return named(found, seen, names(seen, _SETTINGS), classes.names(found, seen, None))
 
     total = median_ms(whole, repeats)
     seen = look(picture, found, _SETTINGS)
     parts = {
         "colour": median_ms(lambda: colour.measure(picture, seen.tiles, _SETTINGS), repeats // 3),
         "texture": median_ms(lambda: texture.descriptors(seen.tiles), repeats // 3),
-        "classes": median_ms(lambda: classes.label(found, seen, None), repeats // 3),
+        "classes": median_ms(lambda: classes.names(found, seen, None), repeats // 3),
     }
     line = {"frame": title, "parts": len(found), "added_ms": round(total, 2)}
     print(json.dumps(line | {f"{name}_ms": round(value, 2) for name, value in parts.items()}), flush=True)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from controller.errors import InputError
 from controller.vision.appearance.hole import counts
 from controller.vision.appearance.oklab import LINEAR, LUMINANCE, Floats32, linear, oklab
-from controller.vision.appearance.palette import NAMES, name_of, nearest
+from controller.vision.appearance.palette import NAMES, nearest
 from controller.vision.appearance.settings import Appearance
 from controller.vision.appearance.tiles import SIDE, Tiles
 
@@ -85,8 +85,8 @@ def measure(image: Image, surface: Tiles, settings: Appearance) -> list[Colour]:
         Colour(NAMES[int(name)], _triple(center), float(far))
         for name, far, center in zip(owners, apart, centers, strict=True)
     ]
-    for k, upper in _two_toned(lab):
-        whole[k] = _split(lab[k], upper) or whole[k]
+    for k, split in _split(lab, *_two_toned(lab)):
+        whole[k] = split
     return whole
 
 
@@ -171,8 +171,8 @@ def _medians(lab: Floats32) -> Floats32:
     return np.asarray(0.5 * (ordered[:, :, (SAMPLES - 1) // 2] + ordered[:, :, SAMPLES // 2]), np.float32)
 
 
-def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
-    """Which parts (N, SAMPLES, 3) may have two colours, and which of their samples are on one side of the divide."""
+def _two_toned(lab: Floats32) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Which n of the parts (N, SAMPLES, 3) may have two colours, and their samples (n, SAMPLES) above the divide."""
     # One colour, noise and shading included, spreads less than two that could be told apart.
     least = _SECOND_SHARE * (1.0 - _SECOND_SHARE) * _APART**2
     mean = np.einsum("nsk->nk", lab) / np.float32(SAMPLES)
@@ -183,8 +183,6 @@ def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
     spreads, axes = np.linalg.eigh(rest.transpose(0, 2, 1) @ rest / SAMPLES)
     wide = spreads[:, 2] > least
     chosen = chosen[wide]
-    if not len(chosen):
-        return []
     along = (rest[wide] @ axes[wide][:, :, 2:])[:, :, 0]
     upper = along > 0.0
     for _ in range(6):
@@ -196,30 +194,48 @@ def _two_toned(lab: Floats32) -> list[tuple[int, NDArray[np.bool_]]]:
         if np.array_equal(moved, upper):
             break
         upper = moved
-    return list(zip((int(k) for k in chosen), upper, strict=True))
+    return chosen, upper
 
 
-def _split(lab: Floats32, upper: NDArray[np.bool_]) -> Colour | None:
-    """The colours of the two groups of a part's samples (n, 3), or None when they are one paint in two lights."""
-    share = float(np.count_nonzero(upper)) / len(lab)
-    if not _SECOND_SHARE <= share <= 1.0 - _SECOND_SHARE:
-        return None
-    a, b = np.median(lab[upper], axis=0), np.median(lab[~upper], axis=0)
-    if share < 0.5:
-        a, b, share = b, a, 1.0 - share
-    unsaturated = max(math.hypot(a[1], a[2]), math.hypot(b[1], b[2])) < _UNSATURATED
-    if unsaturated:
-        if abs(float(b[0] - a[0])) < _APART_LIGHTNESS:
-            return None
-    else:
-        # Shading scales a colour: what the best scaling leaves of the difference is a difference of paint.
-        paint = b - float(a @ b) / max(float(a @ a), 1e-6) * a
-        if math.hypot(paint[1], paint[2]) < 0.5 * _APART or math.dist(a[1:], b[1:]) < _APART:
-            return None
-    (name, distance), (other, _) = name_of(a), name_of(b)
-    if other == name:
-        return None
-    return Colour(name, _triple(a), distance, other, _triple(b), 1.0 - share)
+def _split(lab: Floats32, chosen: NDArray[np.intp], upper: NDArray[np.bool_]) -> list[tuple[int, Colour]]:
+    """The colours of those chosen parts whose two groups of samples are not one paint in two lights."""
+    count = np.count_nonzero(upper, axis=1)
+    enough = (count >= _SECOND_SHARE * SAMPLES) & (count <= (1.0 - _SECOND_SHARE) * SAMPLES)
+    chosen, upper, count = chosen[enough], upper[enough], count[enough]
+    if not len(chosen):
+        return []
+    samples = lab[chosen]
+    above, below = _group_medians(samples, upper, count), _group_medians(samples, ~upper, SAMPLES - count)
+    larger = (2 * count >= SAMPLES)[:, None]
+    main, second = np.where(larger, above, below), np.where(larger, below, above)
+    owners, apart = nearest(np.concatenate([main, second]))
+    out = []
+    for j, k in enumerate(chosen.tolist()):
+        name, other = NAMES[int(owners[j])], NAMES[int(owners[j + len(chosen)])]
+        if name != other and _two_paints(main[j], second[j]):
+            share = 1.0 - float(count[j]) / SAMPLES
+            share = min(share, 1.0 - share)
+            out.append((k, Colour(name, _triple(main[j]), float(apart[j]), other, _triple(second[j]), share)))
+    return out
+
+
+def _group_medians(samples: Floats32, group: NDArray[np.bool_], count: NDArray[np.intp]) -> Floats32:
+    """Medians (n, 3) of those samples (n, SAMPLES, 3) that are in the group, `count` of each part."""
+    # What is not in it is sorted behind everything.
+    ordered = np.sort(np.where(group[:, None], samples.transpose(0, 2, 1), np.float32(np.inf)), axis=2)
+    at = np.arange(len(samples))
+    return np.asarray(0.5 * (ordered[at, :, (count - 1) // 2] + ordered[at, :, count // 2]), np.float32)
+
+
+def _two_paints(main: Floats32, second: Floats32) -> bool:
+    """Whether two colours (3,) can not come from one paint in two lights."""
+    a, b = _triple(main), _triple(second)
+    if max(math.hypot(a[1], a[2]), math.hypot(b[1], b[2])) < _UNSATURATED:
+        return abs(b[0] - a[0]) >= _APART_LIGHTNESS
+    # Shading scales a colour: what the best scaling leaves of the difference is a difference of paint.
+    scaling = sum(p * q for p, q in zip(a, b, strict=True)) / max(sum(p * p for p in a), 1e-6)
+    paint = math.hypot(b[1] - scaling * a[1], b[2] - scaling * a[2])
+    return paint >= 0.5 * _APART and math.dist(a[1:], b[1:]) >= _APART
 
 
 def _triple(values: Floats32) -> tuple[float, float, float]:

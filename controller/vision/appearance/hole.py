@@ -19,6 +19,7 @@ _SMALLEST, _LARGEST = 0.03, 0.65
 """Share of the part: what is smaller is a speck, what is larger leaves no part."""
 _TOGETHER = 0.7
 """Share of what looks like the table that hangs together: stripes or dots of the table's colour are many."""
+_FILLED = 128
 
 
 def like_table(
@@ -89,7 +90,13 @@ def counts(masks: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _largest(mask: Mask, least: float) -> Mask | None:
-    """The largest blob of a mask, or None when it has fewer pixels than `least`."""
+    """The largest blob of a mask, or None when it has fewer pixels than `least`, which is most of the mask."""
+    # Where the first pixel belongs to it, filling it is four times as quick as looking for all blobs.
+    first = int(mask.argmax())
+    filled = mask.copy()
+    count, _, _, _ = cv2.floodFill(filled, None, (first % mask.shape[1], first // mask.shape[1]), (_FILLED,), flags=4)
+    if count >= least:
+        return np.asarray(cv2.inRange(filled, _FILLED, _FILLED), np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     if stats[largest, cv2.CC_STAT_AREA] < least:

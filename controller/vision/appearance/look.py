@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,24 +65,52 @@ def look(image: NDArray[np.uint8], detections: Sequence[Detection], settings: Ap
     return Surfaces(image, detections, settings)
 
 
-def named(detections: Sequence[Detection], surfaces: Surfaces, settings: Appearance) -> list[Detection]:
-    """The detections with colour and texture filled in, as far as the settings ask for them.
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What surfaces are called, in their order.
+
+    Attributes:
+        textures: Or empty, when the settings do not ask for them.
+        colours: Likewise.
+    """
+
+    textures: Sequence[str | None] = ()
+    colours: Sequence[Colour] = ()
+
+
+def names(surfaces: Surfaces, settings: Appearance) -> Names:
+    """Colours and textures of surfaces, as far as the settings ask for them.
 
     Raises:
         InputError: The gray card the recipe speaks of cannot be measured.
     """
-    out = list(detections)
-    if not settings.texture and not settings.colour:
-        return out
     woven = texture.names_of(surfaces.textures) if settings.texture else []
-    colours = surfaces.colours if settings.colour else ()
+    return Names(woven, surfaces.colours if settings.colour else ())
+
+
+def named(
+    detections: Sequence[Detection], surfaces: Surfaces, said: Names, labels: Sequence[str | None] = ()
+) -> list[Detection]:
+    """The detections with colour, texture and label filled in where something was said.
+
+    Args:
+        detections: Those the surfaces were taken from.
+        surfaces: n surfaces.
+        said: What they are called.
+        labels: n names of taught classes, None for unknown; or none at all.
+    """
+    out = list(detections)
     for place, k in enumerate(surfaces.which):
         item = out[k]
-        seen = colours[place] if colours else None
+        seen = said.colours[place] if said.colours else None
+        label = labels[place] if labels else None
         two = seen is not None and seen.second is not None
+        if seen is None and label is None and not said.textures:
+            continue
         out[k] = replace(
             item,
-            texture=woven[place] if woven else item.texture,
+            label=item.label if label is None else label,
+            texture=said.textures[place] if said.textures else item.texture,
             colour=seen.name if seen is not None else item.colour,
             flags=item.flags | {TWO_COLOURED} if two else item.flags,
         )

@@ -81,25 +81,24 @@ class Taught:
             self._marked[name] = bool(alike) and sum(alike) >= _MOSTLY * len(alike)
         return self._marked[name]
 
-    def label(self, detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMap | None) -> list[Detection]:
-        """The detections, those of a known class with its name as label; the others as they were.
+    def names(
+        self, detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMap | None
+    ) -> list[str | None]:
+        """What class each surface of the detections is of; None where it is unknown.
 
         Raises:
             InputError: The classes were taught in mm and there is no calibrated plane.
         """
         if self.units == "mm" and plane is None and self.classes:
             raise InputError("the classes were taught in mm", "give the calibration: --camera and --table")
-        out = list(detections)
         values = features(detections, surfaces, plane if self.units == "mm" else None)
+        out: list[str | None] = []
         for k, verdict in zip(surfaces.which, self.classifier.verdicts(values), strict=True):
-            if verdict is None:
-                continue
-            name = verdict.name
-            if verdict.distance <= 1.0 and self._twins.get(verdict.nearest):
-                (tile,) = tiles_of(surfaces.image, [out[k]])
+            name = None if verdict is None else verdict.name
+            if verdict is not None and verdict.distance <= 1.0 and self._twins.get(verdict.nearest):
+                (tile,) = tiles_of(surfaces.image, [detections[k]])
                 name = self._by_print(marking(tile), verdict)
-            if name is not None:
-                out[k] = replace(out[k], label=name)
+            out.append(name)
         return out
 
     def _by_print(self, seen: Marking, verdict: Verdict) -> str | None:

@@ -66,8 +66,7 @@ def test_classes_that_differ_by_a_print_only_are_told_apart() -> None:
     for name, print_ in (("arrow", _arrow), ("cross", _cross)):
         picture, things = _picture(print_, 9)
         found = [detection_of(thing, Frame(1, 0.0, picture)) for thing in things]
-        said = taught.label(found, look(picture, found, Appearance()), None)
-        assert [item.label for item in said] == [name] * 4
+        assert taught.names(found, look(picture, found, Appearance()), None) == [name] * 4
 
 
 def test_the_same_print_under_another_name_is_refused() -> None:
