@@ -32,6 +32,7 @@ class Looking:
         camera, table: Calibration files; both or none.
         height_mm: Height of the parts.
         plane: The calibrated plane itself, in place of files.
+        region: ndarray of shape (H, W), dtype uint8: only what lies where it is not 0 is looked at.
     """
 
     def __init__(
@@ -41,9 +42,11 @@ class Looking:
         table: Path | None = None,
         height_mm: float = 20.0,
         plane: PlaneMap | None = None,
+        region: NDArray[np.uint8] | None = None,
     ) -> None:
         self.recipe = load_recipe(recipe)
         self._plane = plane
+        self._region = region
         if camera is not None and table is not None:
             lens = CameraCalibration.load(camera)
             self._plane = PlaneMap(lens.camera, TableCalibration.load(table, lens).T_table_camera, height_mm / 2.0)
@@ -75,7 +78,7 @@ class Looking:
         """
         if self._plane is not None and image.shape[1::-1] != tuple(self._plane.camera.image_size):
             raise InputError(f"{path} is not of the size the lens was calibrated at", "use the same camera as it was")
-        found = detect(Frame(1, 0.0, image, path), self.recipe, plane=self._plane).detections
+        found = detect(Frame(1, 0.0, image, path), self.recipe, plane=self._plane, region=self._region).detections
         if whole_only:
             found = tuple(i for i in found if "cut_by_border" not in i.flags and not _of_another(i, found))
         return found, look(image, found, self.recipe.appearance), self._plane

@@ -20,17 +20,18 @@ from controller.cli.detect import picture_files
 from controller.cli.looking import Looking
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
+from controller.cycle.view import region_mask
 from controller.errors import InputError
+from controller.geometry import invert, transform
 from controller.service.folders import state_folder
 from controller.vision.classes.features import Floats32, features
 from controller.vision.classes.markings import tiles_of
 from controller.vision.read import read_image
 
-_A_PICTURE = 4
-"""Parts in a simulated picture."""
-_PLACES = ((-55.0, -95.0), (-55.0, 95.0), (55.0, -95.0), (55.0, 95.0))
-"""Where they lie, mm of `table`, give or take `_ASTRAY`."""
-_ASTRAY = 25.0
+_A_PICTURE = 3
+"""Parts in a simulated picture: each lies somewhere in its own third of the work area."""
+_ALONG, _ACROSS = 0.1, 0.18
+"""How far they keep from the work area's borders, and how far they may stray along its arc, shares of the whole."""
 _WIDTHS = (36.0, 43.0, 50.0)
 
 
@@ -77,20 +78,32 @@ def from_simulation(
     board, field = parse_board(config.table.board), math.radians(config.camera.field_of_view_deg)
     lens, plane = calibrate_by_showing(table.camera, table.presenter, board, table.clock, field=field)
     ruler = by_ruler(config.table.T_base_table(), lens.calibration_id, plane.calibration_id, arm.name)
-    looking = Looking(recipe, plane=cell_calibration(lens, plane, ruler).plane(config.shape_plane_mm))
+    calibration = cell_calibration(lens, plane, ruler)
+    region = region_mask(config, calibration, (config.camera.width, config.camera.height))
+    looking = Looking(recipe, plane=calibration.plane(config.shape_plane_mm), region=region)
     widths = _WIDTHS if kind.width_mm is None else (kind.width_mm,)
 
     def show() -> Iterator[Shown]:
         random = np.random.default_rng([seed, 31])
         for number in range(math.ceil(views / _A_PICTURE)):
-            laid = []
-            for x, y in _PLACES[: views - number * _A_PICTURE]:
-                dx, dy = random.uniform(-_ASTRAY, _ASTRAY, 2)
-                laid.append((kind.shape, (x + float(dx), y + float(dy)), float(random.uniform(-math.pi, math.pi))))
+            places = _places(config, random)[: views - number * _A_PICTURE]
+            laid = [(kind.shape, place, float(random.uniform(-math.pi, math.pi))) for place in places]
             frame, _ = table.show(laid, widths, 1000 * seed + number, kind)
             yield _shown(looking, frame.image, f"simulated {number + 1}")
 
     return looking, show()
+
+
+def _places(config: CellConfig, random: np.random.Generator) -> list[tuple[float, float]]:
+    """Where parts are laid for one picture, mm of `table`."""
+    area = config.table.work_area
+    low, high = area.azimuth_deg
+    edge = _ALONG * (area.outer_radius_mm - area.inner_radius_mm)
+    share = (np.arange(_A_PICTURE) + 0.5 + random.uniform(-_ACROSS, _ACROSS, _A_PICTURE)) / _A_PICTURE
+    azimuth = np.radians(low + share * (high - low))
+    radius = random.uniform(area.inner_radius_mm + edge, area.outer_radius_mm - edge, _A_PICTURE)
+    places = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.zeros(_A_PICTURE)], axis=1)
+    return [(float(x), float(y)) for x, y, _ in transform(invert(config.table.T_base_table()), places)]
 
 
 def from_camera(
@@ -105,10 +118,13 @@ def from_camera(
     if not sys.stdin.isatty():
         raise InputError("nobody is there to lay parts and press Enter", "name pictures, or run it in a terminal")
     stored = state_folder() / "calibration"
-    plane = load_calibration(stored).plane(config.shape_plane_mm) if stored.is_dir() else None
-    if plane is None:
+    if stored.is_dir():
+        calibration = load_calibration(stored)
+        region = region_mask(config, calibration, (config.camera.width, config.camera.height))
+        looking = Looking(recipe, plane=calibration.plane(config.shape_plane_mm), region=region)
+    else:
         say("warning: the cell is not calibrated: sizes are in pixels, good at this height of the camera only")
-    looking = Looking(recipe, plane=plane)
+        looking = Looking(recipe)
 
     def show() -> Iterator[Shown]:
         camera, clock = lone_camera(config, config.camera.device)

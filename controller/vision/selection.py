@@ -33,6 +33,9 @@ _TORN = 0.13
 """Share of an outline that may run elsewhere without a neighbour to blame."""
 _CLEARLY = 0.9
 """Share of an outline that must be seen where its contrast is near the smallest: texture makes four sides of five."""
+_PIECE = 0.4
+"""An outline within a well-fitting one that has no more than this share of its area is a piece of it: the top face of
+a leaning silhouette has half."""
 _TABLE = 2.3
 """Median strength, in standard deviations of the table, below which a face looks like the table (1.5 is typical)."""
 
@@ -56,7 +59,16 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         not any(_rival(scene, item, good[j]) for j in np.flatnonzero(meet))
         for item, meet in zip(good, meets, strict=True)
     ]
-    if not scene.sides:
+    if scene.sides:
+        # A piece of a top face, cut off by a print, must not outrank the whole.
+        for i, item in enumerate(good):
+            around = [
+                j
+                for j in np.flatnonzero(meets[i]).tolist()
+                if good[j].badness < 1.0 and item.area < _PIECE * good[j].area
+            ]
+            stays[i] = stays[i] and not any(shared(item, good[j]) > 0.9 for j in around)
+    else:
         # A print or glint must not outrank the object it lies on.
         for i, item in enumerate(good):
             on = [j for j in np.flatnonzero(meets[i]).tolist() if good[j].area > 4.0 * item.area]

@@ -23,8 +23,8 @@ from controller.vision.silhouette import feet
 Floats = NDArray[np.float64]
 
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
-_HALF_SEEN = 0.55
-"""Share of a silhouette's outline that its top face's shape explains at least."""
+_HALF_SEEN = 0.45
+"""Share of a silhouette's outline that its top face's shape explains at least: half its sides may lean into view."""
 _RESTARTS = 3
 """How often an outline with hidden parts may move on."""
 _ALIKE = 0.5, 1.6

@@ -63,15 +63,15 @@ def test_a_rule_for_a_label_that_was_never_taught_stops_the_run_before_it_begins
 
 
 def test_annotations_are_proposed_corrected_and_learnt(controller: Controller, tmp_path: Path) -> None:
-    folder = _photos(_photos(tmp_path / "photos", "star", 5, 7), "cross", 5, 8)
+    folder = _photos(_photos(tmp_path / "photos", "star", 3, 7), "cross", 3, 8)
     assert controller("annotate", folder).returncode == 0
     path = folder / "annotations.json"
     content = json.loads(path.read_text(encoding="utf-8"))
-    assert [entry["n"] for entry in content["images"]] == [2] * 10
+    assert [entry["n"] for entry in content["images"]] == [2] * 6
     names = [(entry["file"], entry["file"].split("_")[0]) for entry in content["images"]]
     said = [word for file, name in names for k in (1, 2) for word in ("--set", f"{file}:{k}={name}")]
     assert controller("annotate", folder, *said, "--save", tmp_path / "look").returncode == 0
-    assert len(list((tmp_path / "look").glob("*.png"))) == 10
+    assert len(list((tmp_path / "look").glob("*.png"))) == 6
     # Classes of annotations stay shapes: the pictures can be evaluated as they are.
     assert controller("evaluate", "--images", folder, "--json").returncode == 0
     before = path.read_text(encoding="utf-8")
@@ -80,6 +80,6 @@ def test_annotations_are_proposed_corrected_and_learnt(controller: Controller, t
     assert "has 2 objects" in wrong.stderr
     assert path.read_text(encoding="utf-8") == before
     result = json.loads(controller("train", folder, "--json").stdout)
-    assert result["examples"] == 20
+    assert result["examples"] == 12
     assert result["right"]["nearest_views"] == 1.0
     assert json.loads(controller("annotate", folder, "--json").stdout)["proposed"] == 0
