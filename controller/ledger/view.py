@@ -9,7 +9,7 @@ import json
 import math
 import sqlite3
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import closing
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -87,14 +87,20 @@ class LedgerReader:
             key = _KEY[table].replace(",", " DESC,")
             ask = f"SELECT * FROM ({ask} ORDER BY {key} DESC LIMIT ?)"
             values = (*values, last)
-        with as_ledger_error(self.path, "read"), closing(self._connection.cursor()) as cursor:
-            cursor.execute(f"{ask} ORDER BY {_KEY[table]}", values)
-            names = [column[0] for column in cursor.description]
-            for values_ in cursor:
-                row: dict[str, Any] = dict(zip(names, values_, strict=True))
-                if "details" in row:
-                    row["details"] = _details(row["details"])
-                yield row
+        with as_ledger_error(self.path, "read"):
+            cursor = self._connection.cursor()
+            try:
+                cursor.execute(f"{ask} ORDER BY {_KEY[table]}", values)
+                names = [column[0] for column in cursor.description]
+                for values_ in cursor:
+                    row: dict[str, Any] = dict(zip(names, values_, strict=True))
+                    if "details" in row:
+                        row["details"] = _details(row["details"])
+                    yield row
+            finally:
+                # Who stops reading in between may have closed the ledger already.
+                with suppress(sqlite3.ProgrammingError):
+                    cursor.close()
 
     def counts(self, run_id: int | None = None) -> dict[str, int]:
         """Targets by result, plus `open` (begun without an outcome yet) and `targets` (all of them).

@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -366,6 +366,18 @@ def test_a_view_of_a_missing_or_damaged_ledger_is_refused(tmp_path: Path) -> Non
     (tmp_path / "text.db").write_text("not a database at all, but a text\n" * 100, encoding="ascii")
     with pytest.raises(LedgerError, match="not a database"):
         LedgerView(tmp_path / "text.db")
+
+
+def test_one_may_stop_reading_in_the_middle(path: Path) -> None:
+    with opened(path) as ledger:
+        ledger.conclude(outcome("t1"))
+        ledger.conclude(outcome("t2"))
+    with LedgerView(path) as view:
+        lines = view.export("csv")
+        next(lines)
+        next(lines)
+    assert isinstance(lines, Generator)
+    lines.close()
 
 
 def test_a_view_settles_nothing(path: Path) -> None:
