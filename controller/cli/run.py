@@ -127,13 +127,21 @@ def run(
     stopping = on_interrupt(session.stop, "stopping: the arm parks; once more gives up waiting")
     reloading = on_hangup(session.reload) if mode is Mode.REAL else nullcontext()
     with logging_to_its_place(cycle_log), stopping as received, reloading, progress, film or nullcontext():
-        figures = session.run()
-    if figures:
-        if as_json:
-            print(json.dumps(figures))
-        else:
-            _table(figures)
+        try:
+            session.run()
+        finally:
+            # A fault takes nothing from what was sorted before it.
+            _tell(session.figures, as_json)
     return exit_code(received)
+
+
+def _tell(figures: dict[str, Any], as_json: bool) -> None:
+    if not figures:
+        return
+    if as_json:
+        print(json.dumps(figures))
+    else:
+        _table(figures)
 
 
 def _mode(sim: bool, replay: Path | None, real_time: bool) -> Mode:

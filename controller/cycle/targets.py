@@ -3,6 +3,10 @@
 The camera gives places, not identities. Whatever lies where a target was last known to be is that target, and so
 is an object of its shape and size a little further, where a missed grasp may have pushed it. After it was lost on
 the way, it may turn up wherever nothing lay before.
+
+What was dropped or gripped in vain may lie on its side afterwards, and a square prism on its side looks like a
+rectangle. So a part that looks like another one after the jaws were at it, and what turns up unlike the part that was
+just dropped, is of no known shape: it goes where such things go, not into the bin of what it looks like.
 """
 
 from __future__ import annotations
@@ -23,6 +27,12 @@ REST = 3
 SAME_SIZE_MM = 3.0
 """Two looks at one part differ by less: size sigma 0.3 mm, plus what a side face can add near the border."""
 
+STRAY_LOOKS = 3
+"""Looks after a part was dropped in which it may turn up: it may roll on, or lie hidden by a neighbour at first."""
+
+TOPPLED_MM = 3.0
+"""A part that topples moves by half the difference of its height and its width, 4.5 mm for the smallest hexagon."""
+
 GONE_AFTER = 3
 """Looks in a row that do not show what was given up, after which somebody has taken it: the next there is new."""
 
@@ -40,6 +50,7 @@ class Target:
         lost: It left its place without arriving: it may lie anywhere.
         nudges: How often something was pushed to make room for it.
         rests_until: So many targets must have their outcome before it is tried again.
+        doubtful: It may lie on its side: what it looks like is not what it is.
     """
 
     target_id: str
@@ -51,6 +62,7 @@ class Target:
     reason: str = ""
     nudges: int = 0
     rests_until: int = 0
+    doubtful: bool = False
 
 
 @dataclass(slots=True)
@@ -81,6 +93,8 @@ class TargetBook:
         self._open: dict[str, Target] = {}
         self._given_up: list[_GivenUp] = []
         self._previous: list[tuple[float, float]] = []
+        self._doubtful: list[tuple[float, float]] = []
+        self._strays = 0
 
     @property
     def open(self) -> tuple[Target, ...]:
@@ -113,16 +127,31 @@ class TargetBook:
             The objects, those that are open targets with their `target_id`; and the open targets that
             were tried and are nowhere to be seen any more.
         """
+        if any(target.lost for target in self._open.values()):
+            self._strays = STRAY_LOOKS
         free = list(range(len(seen)))
         ids: dict[int, str] = {}
+        doubtful = {i for i, thing in enumerate(seen) if _near(thing.center, self._doubtful, VERY_PLACE_MM)}
         for target in self._open.values():
             match = self._match(target, seen, free)
             if match is not None:
                 free.remove(match)
                 ids[match] = target.target_id
+                before = target.located
+                if target.attempts and _toppled(before, seen[match]):
+                    target.doubtful = True
+                if target.doubtful:
+                    doubtful.add(match)
                 target.located = dataclasses.replace(seen[match], target_id=target.target_id)
                 target.lost = False
-        named = [dataclasses.replace(thing, target_id=ids.get(i, "")) for i, thing in enumerate(seen)]
+        if self._strays:
+            self._strays -= 1
+            doubtful |= {i for i in free if not _near(seen[i].center, self._previous, SAME_PLACE_MM)}
+        self._doubtful = [seen[i].center for i in doubtful]
+        named = [
+            dataclasses.replace(_nameless(thing) if i in doubtful else thing, target_id=ids.get(i, ""))
+            for i, thing in enumerate(seen)
+        ]
         gone = [t for t in self._open.values() if t.attempts and t.target_id not in ids.values()]
         self._previous = [thing.center for thing in seen]
         for old in self._given_up:
@@ -138,7 +167,7 @@ class TargetBook:
             if distance > VERY_PLACE_MM and not _alike(thing, target.located):
                 continue
             if distance > SAME_PLACE_MM:
-                newcomer = all(math.dist(thing.center, old) > SAME_PLACE_MM for old in self._previous)
+                newcomer = not _near(thing.center, self._previous, SAME_PLACE_MM)
                 if not ((target.attempts or target.nudges) and newcomer):
                     continue
             if distance < best_distance:
@@ -158,6 +187,10 @@ class TargetBook:
 
     def close(self, target: Target) -> None:
         """Forget a target that has its outcome."""
+        if target.lost:
+            self._strays = STRAY_LOOKS
+        # Where it lay there is room for another.
+        self._previous = [at for at in self._previous if math.dist(at, target.located.center) > VERY_PLACE_MM]
         del self._open[target.target_id]
 
     def give_up(self, target: Target) -> None:
@@ -173,3 +206,19 @@ class TargetBook:
 
 def _alike(a: LocatedObject, b: LocatedObject | _GivenUp) -> bool:
     return a.shape is b.shape and all(abs(x - y) <= SAME_SIZE_MM for x, y in zip(a.size, b.size, strict=True))
+
+
+def _toppled(before: LocatedObject, now: LocatedObject) -> bool:
+    """Whether a part that the jaws were at may lie on its side: of known shape, it has moved and looks unlike."""
+    moved = math.dist(before.center, now.center) > TOPPLED_MM
+    return moved and before.shape is not Shape.OTHER and not _alike(now, before)
+
+
+def _near(place: tuple[float, float], places: Sequence[tuple[float, float]], within: float) -> bool:
+    return any(math.dist(place, other) <= within for other in places)
+
+
+def _nameless(thing: LocatedObject) -> LocatedObject:
+    """The thing without what it was taken for."""
+    detection = dataclasses.replace(thing.detection, shape=Shape.OTHER, label=str(Shape.OTHER))
+    return dataclasses.replace(thing, detection=detection)

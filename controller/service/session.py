@@ -81,10 +81,15 @@ class RunOptions:
 
 
 class Session:
-    """One run; `stop` may be called from another thread or a signal handler."""
+    """One run; `stop` may be called from another thread or a signal handler.
+
+    Attributes:
+        figures: Those of the run, as soon as it has ended, in FAULT as well; empty before.
+    """
 
     def __init__(self, options: RunOptions) -> None:
         self.options = options
+        self.figures: dict[str, Any] = {}
         self._config = options.config
         if options.mode is Mode.REPLAY or options.rehearsal is not Rehearsal.NONE:
             # The next picture shows the next table, or there is none: everything in this one is worked off first.
@@ -194,6 +199,7 @@ class Session:
                 "out": str(folder),
             }
             self._write(folder, report, album)
+            self.figures = report
             if sorter is not None and sorter.fault is not None:
                 raise sorter.fault
             return report

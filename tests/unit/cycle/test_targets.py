@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from controller.cycle.targets import GONE_AFTER, TargetBook
+from controller.cycle.targets import GONE_AFTER, STRAY_LOOKS, TargetBook
 from controller.domain import Descriptors, Detection, Frame, LocatedObject, Shape
 
 FRAME = Frame(1, 0.0, np.zeros((4, 4, 3), np.uint8))
@@ -105,3 +105,33 @@ def test_what_was_given_up_is_new_again_when_it_was_gone_for_some_looks() -> Non
     for _ in range(GONE_AFTER):
         book.identify([])
     assert not book.is_given_up(old)
+
+
+def test_what_the_jaws_may_have_toppled_is_no_known_shape_any_more() -> None:
+    book = TargetBook()
+    book.choose(thing(0, 0), 1.0).attempts = 1
+    for place in (8, 9, 24):  # pushed about by further attempts, it stays in doubt
+        [seen], gone = book.identify([thing(place, 0, Shape.RECTANGLE)])
+        assert (seen.target_id, seen.shape, seen.detection.label, gone) == ("t1", Shape.OTHER, "other", [])
+
+
+def test_what_was_taken_for_something_else_where_it_lies_gets_its_name() -> None:
+    book = TargetBook()
+    book.choose(thing(0, 0), 1.0).attempts = 1
+    [seen], _ = book.identify([thing(1, 1, Shape.RECTANGLE)])
+    assert seen.shape is Shape.RECTANGLE
+
+
+def test_what_turns_up_unlike_the_part_that_was_dropped_is_no_known_shape() -> None:
+    book = TargetBook()
+    book.identify([thing(0, 0), thing(200, 0, Shape.CIRCLE)])
+    target = book.choose(thing(0, 0), 1.0)
+    target.attempts, target.lost = 1, True
+    _, gone = book.identify([thing(200, 0, Shape.CIRCLE)])
+    book.close(gone[0])  # its outcome: dropped
+    stray, old = thing(100, 50, Shape.RECTANGLE), thing(200, 0, Shape.CIRCLE)
+    for _ in range(STRAY_LOOKS + 2):  # once in doubt, for good
+        named, _ = book.identify([stray, old])
+        assert [item.shape for item in named] == [Shape.OTHER, Shape.CIRCLE]
+    named, _ = book.identify([stray, old, thing(-100, 50)])  # laid down by somebody later on
+    assert [item.shape for item in named] == [Shape.OTHER, Shape.CIRCLE, Shape.SQUARE]
