@@ -48,6 +48,10 @@ def pattern_of(name: str, width: float, random: np.random.Generator) -> Pattern:
     return surfaces.blotched(random, float(random.uniform(0.10, 0.16)) * width, 0.4)
 
 
+def _code(values: NDArray[np.int64]) -> tuple[int, int, int]:
+    return int(values[0]), int(values[1]), int(values[2])
+
+
 def detection_of(thing: Thing, frame: Frame) -> Detection:
     """What detection would hand on about a part, by its truth."""
     ring = surfaces.outline(thing)
@@ -70,12 +74,12 @@ def scene(random: np.random.Generator) -> tuple[Image, list[Thing], list[str], l
         rings = [np.asarray(ring * width / 1.6, np.float64) for ring in _SHAPES[int(random.integers(len(_SHAPES)))]]
         dark = random.integers(20, 130, 3)
         light = np.clip(dark + random.integers(50, 110, 3), 0, 250)
-        pair = (dark, light) if random.uniform() < 0.5 else (light, dark)
-        colours = (tuple(int(v) for v in pair[0]), tuple(int(v) for v in pair[1]))
+        dark_first = random.uniform() < 0.5
+        colours = (_code(dark), _code(light)) if dark_first else (_code(light), _code(dark))
         x = (k % _GRID[0] + 0.5) * _CELL + float(random.uniform(-3, 3))
         y = (k // _GRID[0] + 0.5) * _CELL + float(random.uniform(-3, 3))
         turn = float(random.uniform(-math.pi, math.pi))
-        things.append(Thing(rings, colours, x, y, turn, pattern_of(name, width, random)))  # type: ignore[arg-type]
+        things.append(Thing(rings, colours, x, y, turn, pattern_of(name, width, random)))
         names.append(name)
         widths.append(width)
     size = (_GRID[0] * _CELL, _GRID[1] * _CELL)
