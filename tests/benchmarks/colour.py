@@ -95,6 +95,7 @@ def lamps(seed: int, settings: Appearance, table: tuple[int, int, int]) -> tuple
 def real(folder: Path) -> None:
     """Colours in photographs, against their annotations."""
     recipe = load_recipe("precise")
+    total: Counter[str] = Counter()
     for path in sorted(folder.glob("*/annotations.json")):
         for entry in json.loads(path.read_text(encoding="utf-8"))["images"]:
             wanted = [thing for thing in entry["objects"] if "colour" in thing]
@@ -117,8 +118,19 @@ def real(folder: Path) -> None:
                     right += 1
                 else:
                     wrong[f"{name} -> {seen[int(np.argmin(near))].name}"] += 1
+            # What lies beside the annotated objects was counted though nobody asked for it.
+            boxes = [thing["bbox_px"] for thing in entry["objects"]]
+            more = sum(not any(_holds(box, item.center_px) for box in boxes) for item in found)
             line = {"picture": f"{path.parent.name}/{entry['file']}", "coloured": len(wanted), "right": right}
-            print(json.dumps(line | {"not_found": missed, "wrong": dict(wrong)}), flush=True)
+            print(json.dumps(line | {"not_found": missed, "wrong": dict(wrong), "more": more}), flush=True)
+            total.update(coloured=len(wanted), right=right, not_found=missed, wrong=sum(wrong.values()), more=more)
+    verdict = "all right" if total["right"] == total["coloured"] and not total["more"] else "not all right"
+    print(json.dumps({"all": total, "verdict": verdict}))
+
+
+def _holds(box: list[float], point: tuple[float, float]) -> bool:
+    x, y, w, h = box
+    return x <= point[0] <= x + w and y <= point[1] <= y + h
 
 
 def cells(count: int, level: str) -> None:
