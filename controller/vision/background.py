@@ -145,8 +145,8 @@ def _scale(rest: Floats32) -> Floats32:
 
 
 def _shortest(values: Floats32) -> tuple[Floats32, Floats32]:
-    """Start and width of the shortest interval with 45 % of the values, for each row."""
-    ordered = np.sort(values, axis=1)
+    """Start and width of the shortest interval with 45 % of the values, for each row, by every other value."""
+    ordered = np.sort(values[:, ::2], axis=1)
     count = max(1, int(0.45 * ordered.shape[1]))
     widths = ordered[:, count:] - ordered[:, :-count]
     best = widths.argmin(axis=1)
@@ -164,14 +164,16 @@ def _surface(coefficients: Floats, height: int, width: int) -> Floats32:
 
 def _robust_covariance(rest: Floats32, weight: Floats32) -> Floats:
     """Covariance (3, 3) of what belongs to the table among rows (3, N), by three rounds of trimming at 3 sigma."""
-    keep = weight > 0.0
+    keep = (weight > 0.0).astype(np.float32)
     covariance = np.eye(3)
     for _ in range(3):
-        chosen = rest[:, keep]
-        if chosen.shape[1] < 20:
+        count = float(keep.sum())
+        if count < 20.0:
             break
         # 3-sigma trimming of a 3-D normal keeps 97 %; what is lost is far below the texture's variation.
-        chosen = chosen - chosen.mean(axis=1, keepdims=True)
-        covariance = chosen @ chosen.T / (chosen.shape[1] - 1) + _UPRIGHT
-        keep = _squares(np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float32) @ rest) < 9.0 + 2.2
+        chosen = rest * keep
+        mean = chosen.sum(axis=1) / count
+        covariance = (chosen @ rest.T - count * np.outer(mean, mean)) / (count - 1.0) + _UPRIGHT
+        far = _squares(np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float32) @ rest)
+        keep = (far < 9.0 + 2.2).astype(np.float32)
     return np.asarray(covariance)

@@ -4,6 +4,8 @@ Floor: 3 x 3 median and Canny of the gray frame. Contours: blur, Canny, dilation
 paper's steps also run in scikit-image, where that is installed (or --skimage-python names a Python that has it), and
 in GNU Octave with its image package. `precise` is timed with and without colour and texture. Times are processor time
 of the working thread, the best of several interleaved rounds: ratios hold on a busy machine, absolute figures do not.
+The last lines set `precise` against what is asked of it at 1280x720 with 12 objects, and the exit code is 1 when it
+falls short.
 
 Run: python -m tests.benchmarks.vision_speed [--rounds 5] [--skimage-python PYTHON] [--json FILE] [--plot FILE.png]
 """
@@ -37,6 +39,9 @@ from tests.benchmarks.vision_others import _ellipse, _regular, draw
 Image = NDArray[np.uint8]
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 COUNTS = (12, 50, 200)
+ASKED_AT = (1280, 720), 12
+MOST_FLOORS, LEAST_FASTER = 10.0, 25.0
+"""How many floors `precise` may take, and how much faster than the paper's steps in scikit-image it must be."""
 _UNITS = (_regular(4, 0.785), _regular(6), _ellipse(1.0), _regular(3), _regular(4, 0.785) * np.array([1.3, 0.7]))
 
 
@@ -194,6 +199,27 @@ def main() -> None:
         args.json.write_text(json.dumps(rows, indent=1))
     if args.plot:
         cv2.imwrite(str(args.plot), plot(rows))
+    sys.exit(0 if verdicts(rows) else 1)
+
+
+def verdicts(rows: list[dict[str, Any]]) -> bool:
+    """Print how `precise` stands to what is asked of it; whether all that could be measured holds."""
+    (width, height), count = ASKED_AT
+    times: dict[str, float] = next(
+        row["ms"] for row in rows if row["size"] == (width, height) and row["objects"] == count
+    )
+    print(f"asked of precise at {width}x{height} with {count} objects, colour and texture included:")
+    ratio = times["precise"] / times["floor"]
+    holds = ratio <= MOST_FLOORS
+    print(f"  at most {MOST_FLOORS:.0f} x floor: {ratio:.1f} x, {'holds' if holds else 'falls short'}"
+          f" (outlines only {times['outlines only'] / times['floor']:.1f} x)")
+    if "scikit-image" not in times:
+        print(f"  {LEAST_FASTER:.0f} x faster than scikit-image: not measured")
+        return holds
+    faster = times["scikit-image"] / times["precise"]
+    print(f"  at least {LEAST_FASTER:.0f} x faster than the paper's steps in scikit-image: {faster:.1f} x, "
+          f"{'holds' if faster >= LEAST_FASTER else 'falls short'}")
+    return holds and faster >= LEAST_FASTER
 
 
 def plot(rows: list[dict[str, Any]]) -> Image:
