@@ -169,22 +169,17 @@ def fit(evidence: Evidence, batch: Batch, steps: int) -> State:
         Where the fit stands after the last step.
     """
     weight = evidence.weight
-    before, swing = np.full(weight.shape[:2], np.inf), np.zeros(len(weight))
     for step in range(steps + 1):
         distance, jacobian = side_distance(batch, evidence.middle, evidence.chord)
-        last = step == steps or (
-            step > 1
-            and float(np.abs(distance - before).max()) < _SETTLED
-            and bool((np.abs(swing) < _SETTLED * batch.blur).all())
-        )
-        before = distance
         sharpness = (1.0 / batch.blur).astype(np.float32)[:, None, None]
         z = (evidence.offset + distance.astype(np.float32)[..., None]) * sharpness
         unlit, bell = _normal(z)
         bell *= sharpness
         if step > 0:
             weight = _weights(evidence, weight, unlit, bell, batch.together)
-        if last:
+        if step == steps:
+            around, _ = _edge_heights(weight, unlit, evidence.value)
+            shift: Floats = np.zeros(weight.shape[:2])
             break
         dark, slope, wider = weight * unlit, weight * bell, z * bell
         bent = weight * wider
@@ -207,12 +202,18 @@ def fit(evidence: Evidence, batch: Batch, steps: int) -> State:
         asked[:, -1, 0] = (-around * _dot(bent, target)).sum(axis=1)
         normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
         change = np.nan_to_num(np.linalg.solve(normal, asked)[..., 0])
-        batch.q += np.clip(change[:, :PARAMETERS], -1.5, 1.5)
+        change[:, :PARAMETERS] = np.clip(change[:, :PARAMETERS], -1.5, 1.5)
         swing = np.clip(change[:, PARAMETERS], -0.4 * batch.blur, 0.6 * batch.blur)
+        settled = bool((np.abs(swing) < _SETTLED * batch.blur).all())
+        batch.q += change[:, :PARAMETERS]
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
-    around, _ = _edge_heights(weight, unlit, evidence.value)
+        if step > 0 and settled:
+            # So small a step changes the distances by their derivatives, and nothing else.
+            shift = (jacobian @ change[:, :PARAMETERS, None])[..., 0]
+            if float(np.abs(shift).max()) < _SETTLED:
+                break
     stray, information = _strays(evidence, evidence.weight, around, unlit, bell)
-    return State(evidence, distance, unlit, around, stray, information)
+    return State(evidence, distance + shift, unlit, around, stray + shift, information)
 
 
 def _normal(z: Floats32) -> tuple[Floats32, Floats32]:
