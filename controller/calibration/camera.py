@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration import bundle
+from controller.calibration import bundle, grid
 from controller.calibration.boards import Board, BoardKind, BoardNotFound, BoardView
 from controller.calibration.lens import CameraCalibration, LensModel, camera_from_json, named
 from controller.errors import CalibrationPoorFit
@@ -47,6 +47,8 @@ RATIONAL_VIEWS = 40
 RATIONAL_COVERAGE = 0.9
 #: Above this RMS, px, something else than a bowed board dominates, and its terms would absorb that.
 BOW_MAX_RMS = 0.5
+#: Pictures in which another board than the named one is looked for, and corners that are one.
+_LOOKED_AT, _LEAST_SEEN = 3, 12
 _DRAWS = 24
 _CELLS = (8, 6)
 
@@ -93,6 +95,16 @@ def find_views(
             seen.append((name, board.find(image)))
         except BoardNotFound as error:
             rejected.append((name, error.cause))
+    if not seen and board.kind is BoardKind.CHESSBOARD:
+        # A wrong SPEC is the likeliest reason: say what is there instead.
+        for index, (name, image) in enumerate(images[:_LOOKED_AT]):
+            gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            _, cells = grid.find(gray)
+            extent = np.ptp(cells, axis=0).astype(int) + 1 if len(cells) else np.zeros(2, int)
+            if len(cells) >= _LEAST_SEEN and len(cells) == int(extent.prod()):
+                inner = f"{max(extent)}x{min(extent)}"
+                rejected[index] = name, f"no {board.columns}x{board.rows} inner corners seen, but {inner}"
+                break
     return seen, rejected
 
 
@@ -255,7 +267,8 @@ def _choose(
 def _check_count(views: Sequence[tuple[str, BoardView]], out: Sequence[tuple[str, str]], board: Board) -> None:
     if len(views) >= MIN_VIEWS:
         return
-    why = f"; {out[0][0]}: {out[0][1]}" if out else ""
+    first = next((item for item in out if ", but " in item[1]), out[0]) if out else None
+    why = f"; {first[0]}: {first[1]}" if first else ""
     raise CalibrationPoorFit(
         f"only {len(views)} of {len(views) + len(out)} pictures show {board.spec}, {MIN_VIEWS} are needed{why}",
         "check the board's SPEC; take 20 pictures, tilted, reaching into every corner",

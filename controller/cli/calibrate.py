@@ -96,7 +96,7 @@ def camera(
             try:
                 pictures.append((str(path), read_image(path)))
             except InputError as error:
-                rejected.append((str(path), str(error)))
+                rejected.append((str(path), error.cause.removeprefix(f"{path} ")))
                 print(f"warning: {error}", file=sys.stderr)
         seen, without = find_views(pictures, shown)
         rejected += without

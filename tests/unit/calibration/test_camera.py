@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from controller.calibration import bundle
 from controller.calibration.boards import BoardView, parse_board
-from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, fit_views
+from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, find_views, fit_views
 from controller.calibration.guided import board_pose_for, wanted_views
 from controller.calibration.table import board_pose
 from controller.errors import CalibrationMissing, CalibrationPoorFit, CalibrationStale, InputError
@@ -206,3 +207,13 @@ def test_no_file_is_said(tmp_path: Path) -> None:
         CameraCalibration.load(tmp_path / "none.json")
     with pytest.raises(InputError, match="cannot be read"):
         CameraCalibration.load(tmp_path)
+
+
+def test_a_board_of_another_size_is_named() -> None:
+    print_ = parse_board("chessboard:9x6:25").draw(0.625)
+    picture = np.pad(np.asarray(cv2.GaussianBlur(print_, (0, 0), 1.0), np.uint8), 60, constant_values=200)
+    seen, rejected = find_views([("a.png", picture), ("b.png", picture)], parse_board("chessboard:8x5:25"))
+    assert not seen
+    assert rejected[0] == ("a.png", "no 8x5 inner corners seen, but 9x6")
+    with pytest.raises(CalibrationPoorFit, match="but 9x6"):
+        fit_views(seen, rejected, parse_board("chessboard:8x5:25"))
