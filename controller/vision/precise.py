@@ -16,6 +16,7 @@ from controller.vision.noise import pixel_noise, without_spikes
 from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
+from controller.vision.sheet import sheets, unpacked
 from controller.vision.thorough import open_objects
 from controller.vision.timing import Stopwatch
 from controller.vision.trial import settled
@@ -36,6 +37,27 @@ def search(
     watch: Stopwatch,
 ) -> list[Found]:
     """Objects in an image; see `detect` for the arguments."""
+    found = _search(image, settings, plane, background, region, hidden, trace, watch)
+    upright = plane is not None and plane.height > 0.0
+    if region is None and background is None and hidden is None and not upright:
+        for sheet in sheets(found, image, plane):
+            things = _search(sheet.image, settings, sheet.plane, None, None, sheet.beside, None, watch)
+            found = unpacked(found, sheet, things)
+            watch.lap("sheets")
+    return found
+
+
+def _search(
+    image: NDArray[np.uint8],
+    settings: Precise,
+    plane: PlaneMap | None,
+    background: NDArray[np.uint8] | None,
+    region: NDArray[np.uint8] | None,
+    hidden: NDArray[np.uint8] | None,
+    trace: MutableMapping[str, NDArray[np.generic]] | None,
+    watch: Stopwatch,
+) -> list[Found]:
+    """One search of a whole image or of a part of it."""
     factor = reduction(image.shape)
     small = _small(image, factor)
     empty = None if background is None else _small(background, factor)
