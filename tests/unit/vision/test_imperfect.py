@@ -108,6 +108,39 @@ def test_touching_parts_are_flagged_and_others_are_not() -> None:
     }  # fmt: skip
 
 
+def test_things_on_a_sheet_are_found_and_the_sheet_is_none() -> None:
+    sheet = at(np.array([[0, 0], [200, 10], [190, 160], [-10, 150]], float), 60, 40), (235.0, 238.0, 240.0)
+    things = [
+        (at(corners(Shape.SQUARE, 40.0, 0.3), 110, 90), DARK),
+        (at(corners(Shape.CIRCLE, 36.0), 180, 130), (60.0, 60.0, 200.0)),
+        (at(corners(Shape.HEXAGON, 30.0), 290, 210), (200.0, 90.0, 40.0)),
+    ]
+    items = found(paint([sheet, *things], table=(60.0, 80.0, 110.0)))
+    assert sorted(item.shape for item in items) == [Shape.CIRCLE, Shape.HEXAGON, Shape.SQUARE]
+    places = {item.shape: item.center_px for item in items}
+    assert places[Shape.SQUARE] == pytest.approx((110.0, 90.0), abs=0.1)
+    assert places[Shape.HEXAGON] == pytest.approx((290.0, 210.0), abs=0.1)
+
+
+def test_a_large_part_with_one_print_is_a_part() -> None:
+    plate, mark = at(corners(Shape.SQUARE, 180.0), 160, 120), at(corners(Shape.CIRCLE, 30.0), 150, 110)
+    assert shapes(paint([(plate, DARK), (mark, (240.0, 240.0, 240.0))], table=(150.0, 150.0, 150.0))) == [Shape.SQUARE]
+
+
+def test_a_shadow_as_dark_as_its_part_is_left_out() -> None:
+    outline = at(corners(Shape.HEXAGON, 60.0, 0.3), 150.0, 110.0)
+    shade: NDArray[np.float64] = np.zeros((240, 320))
+    cv2.fillPoly(shade, [np.rint(at(outline, 7, 8)).astype(np.int32)], (1.0,))
+    light = 1.0 - 0.4 * cv2.GaussianBlur(shade, (0, 0), 3.0)
+    cover = paint([(outline, (0.0, 0.0, 0.0))], table=(255.0, 255.0, 255.0), noise=0.0)[:, :, :1] / 255.0
+    # Of the gray of the shadow's core, 200 * 0.6, but greenish.
+    colour = np.array([105.0, 135.0, 105.0])
+    picture = paint([]).astype(float) * light[:, :, None] * cover + colour * (1.0 - cover)
+    (item,) = found(np.asarray(np.clip(picture, 0, 255), np.uint8))
+    assert item.shape is Shape.HEXAGON
+    assert item.center_px == pytest.approx((150.0, 110.0), abs=0.3)
+
+
 def striped(things: list[tuple[NDArray[np.float64], tuple[float, float, float]]], seed: int) -> NDArray[np.uint8]:
     """A table with broad dark stripes and a printed ring, with things on it."""
     table = np.where((np.arange(320) // 40) % 2, 120.0, 190.0)[None, :, None] * np.ones((240, 320, 3))
