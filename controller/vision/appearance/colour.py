@@ -179,6 +179,8 @@ def _two_toned(lab: Floats32) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     # The sum of the three spreads bounds the largest.
     total = np.einsum("nsk,nsk->n", lab, lab) / np.float32(SAMPLES) - np.einsum("nk,nk->n", mean, mean)
     chosen = np.flatnonzero(total > least)
+    if not len(chosen):
+        return chosen, np.zeros((0, SAMPLES), bool)
     rest = lab[chosen] - mean[chosen][:, None]
     spreads, axes = np.linalg.eigh(rest.transpose(0, 2, 1) @ rest / SAMPLES)
     wide = spreads[:, 2] > least

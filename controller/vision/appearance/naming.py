@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,12 @@ def load(path: Path) -> Namer:
 def _products(values: Floats32) -> Floats32:
     """One, the figures (clipped: a square of an outlier would outvote all others), and all products of two."""
     kept = np.clip(values, -4.0, 4.0)
-    first, second = np.triu_indices(kept.shape[1])
+    first, second = _pairs(kept.shape[1])
     ones = np.ones((len(kept), 1), np.float32)
     return np.concatenate([ones, kept, kept[:, first] * kept[:, second]], axis=1)
+
+
+@cache
+def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Both indices of all pairs of figures, a figure with itself included."""
+    return np.triu_indices(count)

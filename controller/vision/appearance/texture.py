@@ -65,7 +65,7 @@ def descriptors(surface: Tiles) -> Floats32:
     columns += [share[some] for some in (slice(None, count), slice(count, None)) for share in both]
     columns += _histograms(blurred[1], total, deep)
     columns += _histograms(halves[:, :count], total, deep_half)
-    return np.stack(columns, axis=1).astype(np.float32)
+    return np.array(columns, np.float32).T
 
 
 def _side_by_side(tiles: NDArray[Any]) -> NDArray[Any]:

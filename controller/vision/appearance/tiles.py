@@ -37,6 +37,7 @@ _FEW = 12
 _NARROWEST = 3.0
 """px of the frame."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
+_RIMS = [cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2) for rim in range(_MOST_RIM + 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,8 +140,7 @@ def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> NDArray[np.uint
     padded = np.full((SIDE, len(masks), SIDE + 2 * _MOST_RIM), 255, np.uint8)
     padded[:, :, _MOST_RIM:-_MOST_RIM] = masks.transpose(1, 0, 2)
     for rim in set(rims.tolist()):
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2)
-        thin = np.asarray(cv2.erode(padded.reshape(SIDE, -1), kernel), np.uint8).reshape(padded.shape)
+        thin = np.asarray(cv2.erode(padded.reshape(SIDE, -1), _RIMS[rim]), np.uint8).reshape(padded.shape)
         own = rims == rim
         out[own] = thin[:, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2)
     return out
