@@ -66,9 +66,9 @@ class Seen:
     time_ms: float
 
 
-def look_at_cell(seed: int, parts: int, level: str, folder: Path) -> Seen:
-    """Build a cell, calibrate its camera with boards, move the arm out of view, look once."""
-    config = load_cell(shipped("sim.toml"))
+def look_at_cell(seed: int, parts: int, level: str, folder: Path, cell: str = "sim.toml") -> Seen:
+    """Build a shipped cell, calibrate its camera with boards, move the arm out of view, look once."""
+    config = load_cell(shipped(cell))
     arm = load_arm(config.arm.description)
     devices = DEVICES[Mode.SIM](config, arm, BackendOptions(folder, parts=parts, seed=seed, level=Level(level)))
     devices.open()

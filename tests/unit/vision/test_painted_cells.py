@@ -18,3 +18,9 @@ def test_parts_are_found_and_named_and_nothing_else_is(seed: int, tmp_path: Path
     seen = look_at_cell(seed, 8, "static", tmp_path)
     found = sorted(str(detection.shape) for detection in seen.detected.detections)
     assert found == sorted(str(part.shape) for part in seen.truth)
+
+
+def test_prints_near_a_rim_neither_hide_a_part_nor_cut_it_in_two(tmp_path: Path) -> None:
+    seen = look_at_cell(5, 8, "static", tmp_path, "sim_taught.toml")
+    found = sorted(str(detection.shape) for detection in seen.detected.detections)
+    assert found == sorted(str(part.shape) for part in seen.truth)
