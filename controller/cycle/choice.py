@@ -75,13 +75,16 @@ class Chooser:
         """All candidates of the look again: the arm stands elsewhere now."""
         self.queue = list(self._looked_at)
 
-    def next(self, planner: Planner, start: Array, climb: float) -> tuple[Target, PickPlan] | None:
+    def next(
+        self, planner: Planner, start: Array, climb: float, corners: bool = False
+    ) -> tuple[Target, PickPlan] | None:
         """The first candidate that a safe plan exists for, or None.
 
         Args:
             planner: Plans it.
             start: ndarray of shape (J,): where the arm stands, rad.
             climb: See `Planner.plan_pick`.
+            corners: See `Planner.plan_pick`.
         """
         self.blocked = []
         while self.queue:
@@ -93,7 +96,7 @@ class Chooser:
             try:
                 plan = planner.plan_pick(
                     thing, others, bin_, self._stock.drop_point(bin_), start,
-                    pile=self._stock.pile(bin_), view=self._view, climb=climb,
+                    pile=self._stock.pile(bin_), view=self._view, climb=climb, corners=corners,
                 )  # fmt: skip
             except PlanError as error:
                 if isinstance(error, NoClearGrasp):

@@ -239,7 +239,13 @@ class Sorter:
             self._chooser.anew()
             chosen = self._next()
         if chosen is None:
-            return "nudged" if self._nudge() else self._emptied()
+            if self._nudge():
+                return "nudged"
+            if not self._motions.planner.turns_jaws:
+                self._chooser.anew()
+                chosen = self._next(corners=True)
+        if chosen is None:
+            return self._emptied()
         target, plan = chosen
         for observer in self.rig.observers:
             observer.planned(plan)
@@ -295,9 +301,9 @@ class Sorter:
 
     # --- parts of them --------------------------------------------------------------------------------
 
-    def _next(self) -> tuple[Target, PickPlan] | None:
+    def _next(self, corners: bool = False) -> tuple[Target, PickPlan] | None:
         motions = self._motions
-        return self._chooser.next(motions.planner, self.rig.arm.state().positions, motions.climb)
+        return self._chooser.next(motions.planner, self.rig.arm.state().positions, motions.climb, corners)
 
     def _emptied(self) -> str:
         """Nothing more can be picked now: what rested until something has changed has waited for nothing."""

@@ -32,6 +32,8 @@ _CIRCLE_DIRECTIONS = 12
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
 _TRIANGLE_TURN = math.radians(20.0)
+# Beyond these the jaws do not bring it flush but hold two opposite corners, which slip out at friction 0.3.
+_CORNER_TURN = {Shape.SQUARE: math.radians(26.0), Shape.RECTANGLE: math.radians(40.0)}
 # Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot. What is
 # round touches them with one line only, which must stay well off their edge.
 _SHIFTS = (4.0, -4.0, 7.0, -7.0)
@@ -110,11 +112,19 @@ def _turned(part: LocatedObject, direction: float) -> float:
     return min(abs(angle_difference(direction, side.direction, math.pi)) for side in sides(part))
 
 
-def fixed_side(part: LocatedObject, direction: float) -> Side | None:
-    """The only direction an arm without wrist roll can close along, or None when it would not hold."""
+def fixed_side(part: LocatedObject, direction: float, corners: bool = False) -> Side | None:
+    """The only direction an arm without wrist roll can close along, or None when it would not hold.
+
+    Args:
+        part: What to take.
+        direction: rad about z of `table`.
+        corners: Whether two opposite corners are to be held too, which may slip.
+    """
     nearest = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi)))
     turn = 0.0 if part.shape is Shape.CIRCLE else _turned(part, direction)
     if part.shape is Shape.TRIANGLE and turn > _TRIANGLE_TURN:
+        return None
+    if not corners and turn > _CORNER_TURN.get(part.shape, math.pi):
         return None
     return Side(direction % math.pi, nearest.quality * (1.0 - turn / math.pi))
 
@@ -148,7 +158,9 @@ def dense(outline: Array) -> Array:
     return np.column_stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])])
 
 
-def ways_to_take(part: LocatedObject, gripper: Gripper, blocked: Array, tangent: float | None) -> list[Choice]:
+def ways_to_take(
+    part: LocatedObject, gripper: Gripper, blocked: Array, tangent: float | None, corners: bool = False
+) -> list[Choice]:
     """Every free way to take a part of the best kind there is: on its flats, beside its middle, a little askew.
 
     Args:
@@ -156,6 +168,7 @@ def ways_to_take(part: LocatedObject, gripper: Gripper, blocked: Array, tangent:
         gripper: The gripper.
         blocked: ndarray of shape (N, 2): points of `obstacles`, mm.
         tangent: The only closing direction of an arm without wrist roll, rad about z of `table`; None with one.
+        corners: See `fixed_side`.
 
     Raises:
         NoClearGrasp: There is none; the message says why on the flats.
@@ -163,10 +176,10 @@ def ways_to_take(part: LocatedObject, gripper: Gripper, blocked: Array, tangent:
     if tangent is None:
         offers, last = sides(part), oblique_sides(part)
     else:
-        side = fixed_side(part, tangent)
+        side = fixed_side(part, tangent, corners)
         if side is None:
             place = f"{part.shape} at ({part.center[0]:.0f}, {part.center[1]:.0f}) mm"
-            raise NoClearGrasp(f"{place}: lies turned so that the jaws would squeeze it out", "turn the part")
+            raise NoClearGrasp(f"{place}: lies turned so that the jaws would not hold it", "turn the part")
         offers, last = (side,), ()
     failure: NoClearGrasp | None = None
     for kind in (offers, shifted_sides(offers, part), last):

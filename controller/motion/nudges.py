@@ -28,8 +28,9 @@ _NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the
 _ASIDE = (0.0, 6.0, -6.0)  # mm by which the box may push beside the part's middle
 _HEADINGS = 16
 SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a part's width
-_INTO = 0.8  # cosine between such a push and the way to a neighbour: 45 deg into two of them still parts them
-_COST_INTO = 20.0
+_INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: straight into it moves both alike
+_COST_INTO = 20.0  # 45 deg into two of them still parts them best
+_TAKES_ALONG = 0.5  # cosine above which a neighbour is taken along
 _LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
 _TURNING_TRAVEL = 30.0  # mm after which a part of up to 50 mm lies with a side against the box
 _LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the middle
@@ -140,14 +141,17 @@ class _Scene:
         for heading, direction in self.headings(moved):
             ahead = np.array([math.cos(heading), math.sin(heading)])
             into = max(float(way @ ahead) / max(float(np.hypot(*way)), 1e-6) for way in ways)
-            end = center + SHOVE * ahead
-            inside = cv2.pointPolygonTest(self.border, (float(end[0]), float(end[1])), True) >= AREA_MARGIN
-            if into > _INTO or not inside:
+            taken = [way for way in ways if way @ ahead > _TAKES_ALONG * np.hypot(*way)]
+            ends = [center + way + SHOVE * ahead for way in (np.zeros(2), *taken)]
+            if into > _INTO or not all(self._inside(end) for end in ends):
                 continue
             for push in self.free_pushes(moved, heading, direction, blocked, through=True):
                 by = (GAP + moved.sigma + push.slack + SHOVE) * ahead
                 cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
                 yield replace(push, by=(float(by[0]), float(by[1])), travel=SHOVE, cost=cost)
+
+    def _inside(self, place: Array) -> bool:
+        return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
 
     def outlines_without(self, moved: LocatedObject) -> Array:
         """Points along all outlines near the target but its own and that of `moved`."""
@@ -236,8 +240,7 @@ class _Scene:
                 continue
             if travel > push.travel:
                 return None
-            x, y = np.array(moved.center) + travel * ahead
-            if cv2.pointPolygonTest(self.border, (float(x), float(y)), True) < AREA_MARGIN:
+            if not self._inside(np.array(moved.center) + travel * ahead):
                 return None
             ends = lands(moved, travel * ahead)
             if push.lever == 0.0:

@@ -72,6 +72,11 @@ class Planner:
         self._postures = Postures(arm, self.gate, calibration.error_map)
         self._clear = self._postures.clear
 
+    @property
+    def turns_jaws(self) -> bool:
+        """The arm has a wrist roll: its jaws close along any direction."""
+        return len(self.arm.joints) > 4
+
     def slowed(self, share: float) -> Self:
         """The same planner at a share of its speed, in (0, 1]."""
         slow = copy(self)
@@ -92,6 +97,7 @@ class Planner:
         finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
+        corners: bool = False,
     ) -> PickPlan:
         """Everything that moves for one part, approved as a whole.
 
@@ -106,8 +112,8 @@ class Planner:
             view: ndarray of shape (N, 2): outline in `table` (mm) that the camera must see after the retreat.
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
                 sooner than in the ready pose, and as near to the next part.
-
             climb: mm that the way begins straight up, because the arm stands deep in a bin.
+            corners: Whether a part may be held by two corners, which may slip: for when nothing has turned it.
 
         Raises:
             NoClearGrasp: The jaws have no room, or the part does not suit them.
@@ -117,7 +123,7 @@ class Planner:
         q0 = self._wanted(start)
         gripper = self.arm.gripper
         near = grasps.obstacles(others, self.bins, target.center, grasps.reach_about(target, gripper))
-        choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center))
+        choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center), corners)
         failure: PlanError | None = None
         for choice in choices:
             try:
@@ -151,7 +157,7 @@ class Planner:
             LimitViolation: The gate refuses every push.
         """
         q0 = self._wanted(start)
-        tangent = None if len(self.arm.joints) > 4 else self._postures.tangent
+        tangent = None if self.turns_jaws else self._postures.tangent
         failure: PlanError | None = None
         for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent):
             try:
@@ -273,7 +279,7 @@ class Planner:
         return self._postures.bin_error(bin)
 
     def _tangent(self, point: Point) -> float | None:
-        return None if len(self.arm.joints) > 4 else self._postures.tangent(point)
+        return None if self.turns_jaws else self._postures.tangent(point)
 
     # --- paths --------------------------------------------------------------------------------------------
 

@@ -111,7 +111,10 @@ def test_four_joints_take_what_lies_favourably() -> None:
     turned = part(Shape.TRIANGLE, 40.0, at(200.0, 0.0), math.radians(30.0))
     assert grasps.fixed_side(turned, tangential) is None
     straight = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.0), tangential)
-    oblique = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.5), tangential)
+    oblique = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.4), tangential)
     assert straight is not None
     assert oblique is not None
     assert oblique.quality < straight.quality
+    cornered = part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.7)
+    assert grasps.fixed_side(cornered, tangential) is None
+    assert grasps.fixed_side(cornered, tangential, corners=True) is not None
