@@ -182,8 +182,9 @@ class AirPlanner(Planner):
         finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
+        corners: bool = False,
     ) -> PickPlan:
         """As `Planner.plan_pick`, above the parts."""
         return self._above.plan_pick(
-            target, others, bin, drop, start, pile=pile, finish=finish, view=view, climb=climb
+            target, others, bin, drop, start, pile=pile, finish=finish, view=view, climb=climb, corners=corners
         )

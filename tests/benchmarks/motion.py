@@ -46,7 +46,7 @@ def inverse_time() -> float:
 
 
 def cycles(count: int) -> tuple[float, float]:
-    """Whole picks, each starting where the last one's retreat ended: (median planning of all three, ms; jerk's share)."""
+    """Whole picks, each from where the last one ended: (median planning of all three moves, ms; jerk's share)."""
     rng = np.random.default_rng(11)
     boxes = bins()
     planner = Planner(RX150, calibration(), boxes)
