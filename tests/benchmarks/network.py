@@ -30,7 +30,7 @@ from controller.vision.models.network import Network, network
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
 from controller.vision.report import detection_json
-from tests.benchmarks.vision_accuracy import TOOLS
+from tests.benchmarks.drawn_scenes import TOOLS
 
 
 def on_crops(net: Network, count: int, seed: int) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 Needs the scene generator and the scorer of the shared folder beside the checkout.
 
-Run: python -m tests.benchmarks.vision_accuracy [--seeds 21,22,23] [--recipe precise] [--res 640x480:3,...] [--json F]
+With `--untinted` the parts and the table are gray and nothing else; what is there by its colour alone is left out.
+
+Run: python -m tests.benchmarks.vision_accuracy [--seeds 21,22,23] [--recipe precise] [--untinted] [--json F]
 """
 
 from __future__ import annotations
@@ -16,23 +18,46 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from controller.domain import Frame
 from controller.vision.detect import detect
 from controller.vision.read import read_image
 from controller.vision.recipe import load_recipe
 from controller.vision.report import detection_json
+from tests.benchmarks.drawn_scenes import TOOLS, draw, exposed, neutral, tool
 
-TOOLS = Path(__file__).resolve().parents[3] / "shared" / "tools"
+
+def gray_scenes(folder: Path, seed: int, resolutions: str) -> None:
+    """The generator's scenes of one seed without any tint, written as it writes them."""
+    index = []
+    conditions = list(tool("scenes").COND)
+    for part in resolutions.split(","):
+        size, each = part.split(":")
+        width, height = (int(v) for v in size.split("x"))
+        for number, condition in enumerate(conditions):
+            for k in range(int(each) if condition not in ("colour", "mixed") else 0):
+                rng = np.random.default_rng([seed, width, number, k])
+                scene = draw(condition, (width, height), rng)
+                name = f"{height}_{condition}_{k}"
+                picture = exposed(neutral(scene.picture), scene.noise, rng, 0.01 if condition == "impulse1" else 0.0)
+                cv2.imwrite(str(folder / f"{name}.png"), picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+                entry = {"name": name, "W": width, "H": height, "cond": condition, "objects": scene.objects}
+                index.append({**entry, "noise": scene.noise, "blur": scene.blur})
+    (folder / "gt.json").write_text(json.dumps(index))
+    (folder / "list.txt").write_text("\n".join(str(entry["name"]) for entry in index))
 
 
-def run(seed: int, recipe_name: str, resolutions: str) -> dict[str, Any]:
+def run(seed: int, recipe_name: str, resolutions: str, untinted: bool) -> dict[str, Any]:
     """The scorer's figures for the scenes of one seed."""
     recipe = load_recipe(recipe_name)
     with tempfile.TemporaryDirectory() as folder:
         scenes = Path(folder)
-        make = [sys.executable, str(TOOLS / "scenes.py"), folder, "--seed", str(seed), "--res", resolutions]
-        subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
+        if untinted:
+            gray_scenes(scenes, seed, resolutions)
+        else:
+            make = [sys.executable, str(TOOLS / "scenes.py"), folder, "--seed", str(seed), "--res", resolutions]
+            subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
         lines = []
         for number, name in enumerate((scenes / "list.txt").read_text().split(), start=1):
             frame = Frame(number, 0.0, read_image(scenes / f"{name}.png"), name)
@@ -49,14 +74,15 @@ def main() -> None:
     parser.add_argument("--seeds", default="21,22,23")
     parser.add_argument("--recipe", default="precise")
     parser.add_argument("--res", default="640x480:3,1280x720:2,1920x1080:1")
+    parser.add_argument("--untinted", action="store_true")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     if not TOOLS.is_dir():
         sys.exit(f"{TOOLS} is missing: the scene generator lies there")
     cv2.setNumThreads(1)
     seeds = [int(seed) for seed in args.seeds.split(",")]
-    results = {seed: run(seed, args.recipe, args.res) for seed in seeds}
-    print(f"recipe {args.recipe}, seeds {args.seeds}, mean over the seeds")
+    results = {seed: run(seed, args.recipe, args.res, args.untinted) for seed in seeds}
+    print(f"recipe {args.recipe}, seeds {args.seeds}{', untinted' * args.untinted}, mean over the seeds")
     head = {"right %": 8, "worst": 7, "false %": 8, "centre px": 10, "x bound": 8, "angle deg": 10}
     print(f"{'condition':10s} " + " ".join(f"{name:>{width}s}" for name, width in head.items()))
     for condition in results[seeds[0]]:
