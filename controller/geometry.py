@@ -61,6 +61,8 @@ def transform(transform_: Array, points: ArrayLike) -> Array:
 def rigidity_error(transform_: Array) -> float:
     """How far the rotation of a pose is from orthonormal and right-handed (0 for a proper pose)."""
     rotation = transform_[:3, :3]
+    if not (np.abs(rotation) <= 2.0).all():  # the entries of a rotation are at most 1; NaN is none either
+        return math.inf
     return float(np.abs(rotation @ rotation.T - np.eye(3)).max() + abs(np.linalg.det(rotation) - 1.0))
 
 

@@ -54,6 +54,8 @@ def test_yaw_turns_x_towards_y(yaw: float, x: float, y: float) -> None:
 
 def test_a_mirror_is_not_rigid() -> None:
     assert rigidity_error(np.diag([1.0, 1.0, -1.0, 1.0])) > 1.0
+    for wrong in (2e154, math.nan, math.inf):
+        assert rigidity_error(np.diag([wrong, 1.0, 1.0, 1.0])) == math.inf
 
 
 @given(st.floats(-1e4, 1e4), st.floats(0.1, 10.0))
