@@ -223,7 +223,7 @@ def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, r
     low, high = (math.degrees(v) for v in arm.joints[joint].limits)
     needed = math.degrees(worst[joint])
     raise Unreachable(
-        f"{place} needs {arm.joints[joint].name} at {needed:.1f} deg, allowed {low:.1f}..{high:.1f}",
+        f"{place} needs {arm.joints[joint].name} at {needed:.2f} deg, allowed {low:.2f}..{high:.2f}",
         "move the part",
     )
 
