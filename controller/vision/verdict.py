@@ -42,7 +42,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
         found = [item for i, item in enumerate(found) if i not in merged]
         found = [item for item in found if not any(_part_of(item, outline) for outline, _, _ in others)]
         for outline, score, _ in others:
-            flags = _border(outline, scene.image.shape)
+            flags = _border(outline, scene.image.shape, float(scene.factor))
             disc = _worn_disc(scene, outline)
             if disc is not None:
                 found.append(disc)
@@ -108,9 +108,11 @@ def _found(scene: Scene, item: Judged, hole: bool) -> Found:
     )
 
 
-def _border(outline: Floats, shape: tuple[int, ...]) -> frozenset[str]:
+def _border(outline: Floats, shape: tuple[int, ...], slack: float = 0.0) -> frozenset[str]:
+    """The flag of an outline, known to `slack` px, that the picture's border cuts."""
     low, high = outline.min(axis=0), outline.max(axis=0)
-    cut = (low < 0.5).any() or high[0] > shape[1] - 1.5 or high[1] > shape[0] - 1.5
+    end = 0.5 + slack
+    cut = (low < end).any() or high[0] > shape[1] - 1.0 - end or high[1] > shape[0] - 1.0 - end
     return frozenset({"cut_by_border"} if cut else ())
 
 
