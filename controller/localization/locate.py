@@ -226,15 +226,20 @@ def _objection(fit: PrismFit, limits: Limits) -> str | None:
     if share < limits.share:
         return f"its outline is not this shape: {share:.0%} of it within {limits.inlier:g} px of the fit"
     if fit.yaw is None:
-        worst = float(np.median(distances))
+        worst = _median(distances)
     else:
-        sides = [
-            fit.residuals[mine] for edge in np.unique(edges[used]) if (mine := used & (edges == edge)).sum() >= 5
-        ]
-        worst = max((float(np.median(np.abs(side))) for side in sides), default=math.inf)
-        ragged = max((float(np.median(np.abs(side - np.median(side)))) for side in sides), default=0.0)
+        counts = np.bincount(edges[used])
+        sides = [fit.residuals[used & (edges == edge)] for edge in np.flatnonzero(counts >= 5)]
+        worst = max((_median(np.abs(side)) for side in sides), default=math.inf)
+        ragged = max((_median(np.abs(side - _median(side))) for side in sides), default=0.0)
         if ragged > limits.ragged:
             return f"one side is ragged by {ragged:.2f} px"
     if worst > limits.edge:
         return f"one side lies {worst:.2f} px beside the fit"
     return None
+
+
+def _median(values: Array) -> float:
+    """The median of some values (N,), without the overhead of numpy's, which is ten times the work for so few."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2)

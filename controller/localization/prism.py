@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -27,6 +28,10 @@ _ARCS = 6
 #: Outline points this close to a silhouette corner, px, are left out: blur rounds corners.
 _CORNER = 3.0
 _ROUNDS = 25
+#: A step that moves no corner further than this, mm, is the last: the next one is smaller by orders of magnitude.
+_SETTLED = 1e-3
+#: So is one below this that is hardly shorter than the one before: points change edges to and fro.
+_WAVERING = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +81,15 @@ class PrismFit:
         return float(np.minimum(np.abs(self.residuals), 2.0).mean())
 
 
+@cache
 def unit_footprint(shape: Shape) -> Array:
-    """Vertices (K, 2, D) of the footprint at yaw 0, counter-clockwise, per mm of each dimension."""
+    """Vertices (K, 2, D) of the footprint at yaw 0, counter-clockwise, per mm of each dimension; not to be changed."""
+    unit = _unit_footprint(shape)
+    unit.flags.writeable = False
+    return unit
+
+
+def _unit_footprint(shape: Shape) -> Array:
     if shape in (Shape.SQUARE, Shape.RECTANGLE):
         box = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
         if shape is Shape.SQUARE:
@@ -142,33 +154,34 @@ class Silhouette:
         """Least squares from one start (x, y, yaw); the height is held to the stated one by its prior."""
         model = _Model(shape, self._R, self._t, self._local, self._origin)
         parameters = np.array([*start, *dimensions, height])
-        free = np.ones(len(parameters), bool)
-        free[2] = shape is not Shape.CIRCLE
-        last = np.inf
+        free = np.arange(len(parameters)) if shape is not Shape.CIRCLE else np.array([0, 1, 3, 4])
+        certain = 1.0 / noise.height**2
+        ridge = 1e-9 * np.eye(len(free))
+        last = math.inf
         for _ in range(_ROUNDS):
             residuals, jacobian, edges, used = model.compare(self.points, parameters)
             weights = _weights(residuals, edges, used, noise, shape)
             rows = jacobian[:, free] * weights[:, None]
-            normal = rows.T @ rows
+            normal = rows.T @ rows + ridge
             right = rows.T @ (weights * residuals)
-            normal[-1, -1] += 1.0 / noise.height**2
-            right[-1] += (height - parameters[-1]) / noise.height**2
-            step = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), right)
+            normal[-1, -1] += certain
+            right[-1] += (height - parameters[-1]) * certain
+            step = np.zeros(len(parameters))
+            step[free] = np.linalg.solve(normal, right)
             # A step never leaves the neighbourhood in which the assignment of points to edges holds.
-            longest = np.abs(step).max()
+            longest = float(np.abs(step).max())
             if longest > 5.0:
                 step *= 5.0 / longest
-            parameters[free] += step
-            parameters[3:] = np.maximum(parameters[3:], 1.0)
-            if np.abs(step).max() < 1e-4 or (np.abs(step).max() < 1e-2 and np.abs(step).max() > 0.9 * last):
+            parameters += step
+            np.maximum(parameters[3:], 1.0, out=parameters[3:])
+            moved = max(longest, abs(float(step[2])) * float(parameters[3]))
+            if moved < _SETTLED or 0.9 * last < moved < _WAVERING:
+                residuals = residuals - jacobian @ step
                 break
-            last = float(np.abs(step).max())
-        residuals, jacobian, edges, used = model.compare(self.points, parameters)
-        weights = _weights(residuals, edges, used, noise, shape)
-        rows = jacobian[:, free] * weights[:, None]
-        normal = rows.T @ rows
-        normal[-1, -1] += 1.0 / noise.height**2
-        covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))[:2, :2], np.float64)
+            last = moved
+        else:
+            residuals, jacobian, edges, used = model.compare(self.points, parameters)
+        covariance = np.asarray(np.linalg.inv(normal)[:2, :2], np.float64)
         sides = tuple(float(d) for d in parameters[3:-1])
         yaw: float | None = float(parameters[2])
         if shape is Shape.RECTANGLE and sides[1] > sides[0]:
@@ -192,59 +205,56 @@ class _Model:
     def __init__(self, shape: Shape, R: Array, t: Array, local: Array, origin: Array) -> None:
         self._unit = unit_footprint(shape)
         self._smooth = shape is Shape.CIRCLE
-        self._R, self._t, self._local, self._origin = R, t, local, origin
+        # Homogeneous pixels of the undone image: (u w, v w, w) = matrix @ point + offset.
+        to_pixels = np.vstack([np.column_stack([local, -local @ origin]), [0.0, 0.0, 1.0]])
+        self._matrix, self._offset = to_pixels @ R, to_pixels @ t
+        count, _, sizes = self._unit.shape
+        self._points = np.zeros((2 * count, 3))
+        # Derivatives of the vertices on the table by x, y, yaw, dimensions and height: the first two never change.
+        self._slopes = np.zeros((2 * count, 3, 4 + sizes))
+        self._slopes[:, 0, 0] = self._slopes[:, 1, 1] = 1.0
+        self._slopes[count:, 2, -1] = 1.0
 
     def vertices(self, parameters: Array) -> tuple[Array, Array]:
         """Vertices (2K, 2), foot then top, and their derivatives (2K, 2, P)."""
-        x, y, yaw = parameters[:3]
-        dimensions, height = parameters[3:-1], parameters[-1]
-        c, s = math.cos(yaw), math.sin(yaw)
+        c, s = math.cos(parameters[2]), math.sin(parameters[2])
         turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
-        local = self._unit @ dimensions
-        level = np.repeat([0.0, 1.0], len(local))
-        points = np.column_stack([np.tile(local @ turn.T + [x, y], (2, 1)), level * height])
-        slopes = np.zeros((len(points), 3, len(parameters)))
-        slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0
-        slopes[:, :2, 2] = np.tile(local @ turned.T, (2, 1))
-        slopes[:, :2, 3:-1] = np.tile(np.einsum("ij,kjd->kid", turn, self._unit), (2, 1, 1))
-        slopes[:, 2, -1] = level
-        inside = points @ self._R.T + self._t
-        flat = inside[:, :2] / inside[:, 2:]
-        through = np.zeros((len(points), 2, 3))
-        through[:, 0, 0] = through[:, 1, 1] = 1.0
-        through[:, :, 2] = -flat
-        through /= inside[:, 2, None, None]
-        derivative = (self._local @ (through @ self._R)) @ slopes
-        return (flat - self._origin) @ self._local.T, derivative
+        local = self._unit @ parameters[3:-1]
+        count = len(local)
+        points, slopes = self._points, self._slopes
+        points[:count, :2] = points[count:, :2] = local @ turn.T + parameters[:2]
+        points[count:, 2] = parameters[-1]
+        slopes[:count, :2, 2] = slopes[count:, :2, 2] = local @ turned.T
+        slopes[:count, :2, 3:-1] = slopes[count:, :2, 3:-1] = turn @ self._unit
+        seen = points @ self._matrix.T + self._offset
+        inverse = 1.0 / seen[:, 2]
+        flat = seen[:, :2] * inverse[:, None]
+        moved = self._matrix @ slopes
+        return flat, (moved[:, :2] - flat[:, :, None] * moved[:, 2:]) * inverse[:, None, None]
 
     def compare(self, points: Array, parameters: Array) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
         """Distances (N,) of points from the silhouette (outwards positive), their derivatives, edges, use."""
         corners, slopes = self.vertices(parameters)
-        hull = np.asarray(cv2.convexHull(corners.astype(np.float32), returnPoints=False)).ravel()
-        a, b = hull, np.roll(hull, -1)
-        along = corners[b] - corners[a]
-        length = np.linalg.norm(along, axis=1)
-        along = along / length[:, None]
-        normal = np.column_stack([along[:, 1], -along[:, 0]])
-        if _signed_area(corners[hull]) < 0.0:
-            normal = -normal
-        distances = points @ normal.T - np.einsum("ij,ij->i", corners[a], normal)
+        a = cv2.convexHull(corners.astype(np.float32), returnPoints=False).ravel()
+        b = np.append(a[1:], a[:1])
+        start = corners[a]
+        along = corners[b] - start
+        sense = math.copysign(1.0, start[:, 0] @ along[:, 1] - start[:, 1] @ along[:, 0])
+        length = np.sqrt((along * along).sum(axis=1))
+        along /= length[:, None]
+        normal = along[:, ::-1] * (sense, -sense)
+        distances = points @ normal.T - (start * normal).sum(axis=1)
         edge = distances.argmax(axis=1)
-        rows = np.arange(len(points))
-        residual = distances[rows, edge]
-        place = np.einsum("ij,ij->i", points - corners[a[edge]], along[edge])
-        share = np.clip(place / length[edge], 0.0, 1.0)[:, None]
-        from_a = np.einsum("mi,mip->mp", normal, slopes[a])
-        from_b = np.einsum("mi,mip->mp", normal, slopes[b])
+        residual = distances[np.arange(len(points)), edge]
+        reach = length[edge]
+        place = ((points - start[edge]) * along[edge]).sum(axis=1)
+        share = np.minimum(np.maximum(place / reach, 0.0), 1.0)
+        from_a = (normal[:, None] @ slopes[a])[:, 0]
+        onwards = (normal[:, None] @ slopes[b])[:, 0] - from_a
         # d(point - silhouette) = -normal . d(silhouette); the fit moves the silhouette towards the points.
-        jacobian = (1.0 - share) * from_a[edge] + share * from_b[edge]
-        used = (place > _CORNER) & (place < length[edge] - _CORNER) | self._smooth
+        jacobian = from_a[edge] + share[:, None] * onwards[edge]
+        used = (place > _CORNER) & (place < reach - _CORNER) | self._smooth
         return residual, jacobian, edge, used
-
-
-def _signed_area(polygon: Array) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
-    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)
 
 
 def _weights(
