@@ -147,20 +147,21 @@ class Arm(Protocol):
         """Allow motion again after `request_stop`. Moves nothing."""
         ...
 
-
-@runtime_checkable
-class Pausable(Protocol):
-    """An arm that can hold in the middle of a move and go on."""
-
     def pause(self) -> None:
         """Slow the running move down along its path and hold there, torque on, until `resume`; from any thread.
 
-        A move asked for while paused holds at its start. A grip under way ends; `request_stop` still ends a move.
+        A move or grip asked for while paused waits at its start. A grip under way ends; `request_stop` still ends a
+        move.
         """
         ...
 
     def resume(self) -> None:
         """Go on from there; from any thread. Moves metal when a move is under way."""
+        ...
+
+    @property
+    def holds(self) -> bool:
+        """A pause is in force, and the arm has come to stand; from any thread."""
         ...
 
 

@@ -27,6 +27,8 @@ GripModel = Callable[[float, float], tuple[bool, float]]
 START_TOLERANCE = 0.01
 # mm/s of clear opening: what an XL430 turns the crank with at half its no-load speed.
 JAW_SPEED = 100.0
+# s between looks at whether a paused move may go on.
+_PAUSED_LOOK = 0.05
 
 
 @dataclass(slots=True)
@@ -40,7 +42,7 @@ class _Failure:
 class RecordingArm:
     """Records every command as plain values and follows it without error.
 
-    Not thread-safe but for `request_stop`, which may come from any thread or from `on_command`.
+    Not thread-safe but for `request_stop`, `pause` and `resume`, which may come from any thread or from `on_command`.
 
     Args:
         description: The arm it pretends to be; it starts at that arm's rest.
@@ -73,6 +75,7 @@ class RecordingArm:
         self._energised = False
         self._stop = False
         self._stop_recorded = False
+        self._paused = self._waiting = False
 
     # --- the Arm port ---------------------------------------------------------------------------------
 
@@ -137,7 +140,7 @@ class RecordingArm:
             last = int(last * failure.fraction)
         index = 0
         held = self._stop
-        while index < last and not self._stop:
+        while index < last and self._may_move():
             self._clock.sleep(trajectory.period)
             index += 1
             step = trajectory.positions[index] - self._positions
@@ -160,7 +163,7 @@ class RecordingArm:
             raise ValueError(f"effort {effort} is outside (0, 1]")
         wanted = self._within(opening)
         self._raise_due(self._begin("grip", opening_mm=round(wanted, 3), effort=round(effort, 3)))
-        if self._stop:
+        if not self._may_move():
             return GripReport(False, False, self._opening, self._load)
         contact, settled = self._grips.pop(0) if self._grips else self._grip_model(self._opening, wanted)
         self._clock.sleep(abs(settled - self._opening) / JAW_SPEED)
@@ -181,6 +184,19 @@ class RecordingArm:
         """Allow motion again."""
         self._record("clear_stop")
         self._stop = self._stop_recorded = False
+
+    def pause(self) -> None:
+        """Hold at the next sample of a move, or before the next move or grip."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on from there."""
+        self._paused = False
+
+    @property
+    def holds(self) -> bool:
+        """A move or grip waits for `resume`."""
+        return self._waiting
 
     # --- the script -----------------------------------------------------------------------------------
 
@@ -278,6 +294,14 @@ class RecordingArm:
     def _raise_due(failure: _Failure | None) -> None:
         if failure is not None:
             raise failure.error
+
+    def _may_move(self) -> bool:
+        """Wait while paused; False when it is stopped."""
+        self._waiting = self._paused
+        while self._paused and not self._stop:
+            self._clock.sleep(_PAUSED_LOOK)
+        self._waiting = False
+        return not self._stop
 
     def _record_stop(self) -> None:
         if self._stop and not self._stop_recorded:

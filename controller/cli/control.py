@@ -41,15 +41,18 @@ def start(at: At = None, as_json: AsJson = False) -> None:
 
 
 def pause(at: At = None, as_json: AsJson = False) -> None:
-    """Hold after the part under way; torque stays on.
+    """Hold: the arm slows down along its path and stands, even in the middle of a move; torque stays on.
 
     Example: controller pause
+
+    `controller status` says HOLDING, then HELD. A jaw movement under way ends first. What the arm holds stays held.
+    It is no protective stop: cut the power before reaching in.
     """
     _show(_client(at).ask("pause"), as_json)
 
 
 def resume(at: At = None, as_json: AsJson = False) -> None:
-    """Go on after a pause. The arm moves.
+    """Go on after a pause: the arm moves on at once from where it stands.
 
     Example: controller resume
     """

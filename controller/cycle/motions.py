@@ -155,6 +155,7 @@ class Motions:
         if not self._energised:
             return
         self._rig.arm.clear_stop()
+        self._rig.arm.resume()
         if self._rig.arm.follow(self.planner.park(self._rig.arm.state().positions)).finished:
             self._rig.arm.relax()
 

@@ -149,6 +149,19 @@ class EmptyHanded:
         """Allow motion again."""
         self._arm.clear_stop()
 
+    def pause(self) -> None:
+        """Hold the arm on its path."""
+        self._arm.pause()
+
+    def resume(self) -> None:
+        """Go on from there."""
+        self._arm.resume()
+
+    @property
+    def holds(self) -> bool:
+        """It has come to stand for a pause."""
+        return self._arm.holds
+
     def _pretend(self, state: ArmState) -> ArmState:
         return replace(state, opening=self._opening)
 

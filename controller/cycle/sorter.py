@@ -36,6 +36,9 @@ from controller.errors import (
 )
 from controller.vision.detect import Detected
 
+_LOOKS_AGAIN = (State.CAPTURE, State.DETECT, State.LOCALIZE, State.PICK, State.IDLE)
+"""States that do not begin after a pause before a new look: somebody may have changed the table."""
+
 
 class Sorter:
     """Runs the cycle on a rig until it is stopped, faulted, or (when asked) nothing is left to pick.
@@ -78,6 +81,7 @@ class Sorter:
         self._concerns = Concerns(rig)
         self._stop = threading.Event()
         self._pause = threading.Event()
+        self._was_paused = threading.Event()
         self._go_on = threading.Event()
         self._held: Hold | None = None
         self._holding: Target | None = None
@@ -111,15 +115,29 @@ class Sorter:
         """Stop along the path, park and let go of the torque; from any thread or signal handler."""
         self._stop.set()
         self.rig.arm.request_stop()
+        self._end_pause()
 
     def request_pause(self) -> None:
-        """Hold before the next look; from any thread."""
+        """Hold on the path of the move under way, else before the next; from any thread. A stop ends it."""
         self._pause.set()
+        self._was_paused.set()
+        self.rig.arm.pause()
+        if self._stop.is_set():
+            self._end_pause()
+
+    @property
+    def holds(self) -> bool:
+        """A pause is in force and the arm stands; from any thread."""
+        return self._pause.is_set() and self.rig.arm.holds
 
     def resume(self) -> None:
         """Go on after `request_pause`, or when what somebody has to put right is put right; from any thread."""
-        self._pause.clear()
+        self._end_pause()
         self._go_on.set()
+
+    def _end_pause(self) -> None:
+        self._pause.clear()
+        self.rig.arm.resume()
 
     def change(self, rig: Rig) -> None:
         """Work with another configuration from the next look on; from any thread.
@@ -141,6 +159,7 @@ class Sorter:
                     self._come_to_rest()
             raise
         finally:
+            self._end_pause()
             self._looker.close()
 
     def _run(self) -> None:
@@ -169,6 +188,10 @@ class Sorter:
             return "stopped"
         if self.machine.state is not State.HELD:
             self._outcomes.write()
+        if self._was_paused.is_set() and self.machine.state in _LOOKS_AGAIN:
+            self._was_paused.clear()
+            self._looker.forget()
+            return "held"
         return self._handlers[self.machine.state]()
 
     def _fire(self, trigger: str) -> None:
@@ -196,9 +219,6 @@ class Sorter:
         if self._next_rig is not None:
             self._looker.close()
             self._adopt(self._next_rig)
-        if self._pause.is_set():
-            self._motions.step_back()
-            return "held"
         if self._most_parts is not None and self._outcomes.concluded >= self._most_parts:
             return "stopped"
         motions = self._motions

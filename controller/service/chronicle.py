@@ -46,6 +46,7 @@ class Chronicle(Observer):
         self._kept: deque[tuple[str, float, dict[str, Any]]] = deque(maxlen=_MOST_KEPT)
         self._doing = Doing.STOPPED
         self._cause: SorterError | None = None
+        self._paused = False
 
     def commanded(self, command: str, uid: int) -> None:
         """An operator's command was carried out; from any thread.
@@ -57,14 +58,21 @@ class Chronicle(Observer):
         self._write(OPERATOR, self._clock.now(), command=command, uid=uid)
         if command == "reset":
             self._change(Doing.STOPPED, self._clock.now())
+        elif command == "pause" and self._cause is None:
+            self._paused = True
+            self._change(Doing.PAUSED, self._clock.now())
+        elif command == "resume":
+            self._paused = False
+            if self._doing is Doing.PAUSED:
+                self._change(Doing.SORTING, self._clock.now())
 
     def entered(self, state: State, at: float) -> None:
         """Note a state that means another way to spend the time."""
         if state is State.STOPPED:
-            self._cause = None
+            self._cause, self._paused = None, False
             self._change(Doing.STOPPED, at)
-        elif self._cause is not None or state is State.FAULT:
-            return  # told by `held`, `resumed` and `faulted`, with the reason
+        elif self._cause is not None or self._paused or state is State.FAULT:
+            return  # told by `held`, `resumed`, `faulted` with the reason, and by the operator
         elif state is State.HELD:
             self._change(Doing.PAUSED, at)
         elif state is State.IDLE:
@@ -74,7 +82,8 @@ class Chronicle(Observer):
 
     def attempted(self, plan: PickPlan, attempt: int) -> None:
         """There is something to pick."""
-        self._change(Doing.SORTING, self._clock.now())
+        if not self._paused:
+            self._change(Doing.SORTING, self._clock.now())
 
     def held(self, cause: SorterError, at: float) -> None:
         """Note what the cell holds for."""
@@ -88,7 +97,7 @@ class Chronicle(Observer):
 
     def faulted(self, error: SorterError, at: float) -> None:
         """Note the fault that has latched."""
-        self._cause = None
+        self._cause, self._paused = None, False
         self._change(Doing.FAULT, at, error)
 
     def warned(self, code: str, cause: str, at: float) -> None:

@@ -92,11 +92,11 @@ class Controls(Protocol):
         ...
 
     def pause(self) -> None:
-        """Hold before the next look."""
+        """Hold on the path of the move under way, else before the next."""
         ...
 
     def resume(self) -> None:
-        """Go on after a pause. Moves metal."""
+        """Go on after a pause, from where it holds. Moves metal."""
         ...
 
     def stop(self) -> None:

@@ -23,7 +23,7 @@ from controller.errors import DeviceError, SorterError
 from controller.service.alarms import Alarm, AlarmLog
 from controller.service.controls import Refused, Status
 from controller.service.faults import CATALOGUE, fault_code, remedy
-from controller.service.packml import Pending, packml
+from controller.service.packml import PackML, Pending, packml
 
 _BEAT = 1.0  # s between two signs of life while waiting for a start
 
@@ -50,7 +50,12 @@ class Work(Protocol):
         ...
 
     def request_pause(self) -> None:
-        """Hold before the next look."""
+        """Hold on the path of the move under way, else before the next."""
+        ...
+
+    @property
+    def holds(self) -> bool:
+        """A pause is in force and the arm stands; from any thread."""
         ...
 
     def resume(self) -> None:
@@ -173,9 +178,10 @@ class Operation(Observer):
         """What the cell is doing."""
         with self._changed:
             cause = self._latched or self._held
-            reason = str(cause) if cause is not None else _REASONS.get(self._state, "sorting")
+            paused = self._pending is Pending.PAUSE
+            reason = str(cause) if cause is not None else _REASONS.get(State.HELD if paused else self._state, "sorting")
             return Status(
-                packml=packml(self._state, self._pending),
+                packml=self._packml,
                 state=self._state,
                 reason=reason,
                 since_s=self._now() - self._since,
@@ -195,7 +201,7 @@ class Operation(Observer):
     def line(self) -> str:
         """State, count and latched fault in one line."""
         with self._changed:
-            line = f"{packml(self._state, self._pending)}: {self._counts['placed']} placed"
+            line = f"{self._packml}: {self._counts['placed']} placed"
             return line if self._latched is None else f"{line}; {self._latched}"
 
     def alarms(self) -> tuple[Alarm, ...]:
@@ -212,12 +218,12 @@ class Operation(Observer):
             if self._latched is not None:
                 raise Refused(f"a fault is latched: {self._latched.cause}", "look at the cell, then controller reset")
             if self._state is not State.STOPPED or self._started or self._ended:
-                raise Refused(f"not possible in {packml(self._state, self._pending)}", "start from STOPPED")
+                raise Refused(f"not possible in {self._packml}", "start from STOPPED")
             self._started = True
             self._changed.notify_all()
 
     def pause(self) -> None:
-        """Hold before the next look.
+        """Hold on the path of the move under way, else before the next; HOLDING until the arm stands, then HELD.
 
         Raises:
             Refused: Nothing is being sorted.
@@ -226,6 +232,7 @@ class Operation(Observer):
             work = self._working()
             self._pending = Pending.PAUSE
         work.request_pause()
+        self._say(self.line)
 
     def resume(self) -> None:
         """Go on after a pause, or when what the cell holds for was put right.
@@ -239,6 +246,7 @@ class Operation(Observer):
                 raise Refused("nobody has paused", "controller status says what the cell waits for")
             self._pending = None
         work.resume()
+        self._say(self.line)
 
     def stop(self) -> None:
         """Slow down along the path, park, torque off; returns at once, harmless when stopped."""
@@ -338,9 +346,14 @@ class Operation(Observer):
 
     # --- inside ---------------------------------------------------------------------------------------
 
+    @property
+    def _packml(self) -> PackML:
+        held = self._pending is Pending.PAUSE and self._work is not None and self._work.holds
+        return packml(self._state, Pending.PAUSED if held else self._pending)
+
     def _working(self) -> Work:
         if self._work is None or self._pending in (Pending.STOP, Pending.ABORT):
-            raise Refused(f"not possible in {packml(self._state, self._pending)}", "the cell must be at work")
+            raise Refused(f"not possible in {self._packml}", "the cell must be at work")
         return self._work
 
     def _open_again(self) -> None:

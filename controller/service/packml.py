@@ -24,10 +24,14 @@ class PackML(StrEnum):
 
 
 class Pending(StrEnum):
-    """What has been asked for and the cell has not yet done; `ABORT` is asked for by a fault."""
+    """What has been asked for and the cell has not yet done; `ABORT` is asked for by a fault.
+
+    `PAUSED`: a pause was asked for and the arm stands, be it in the middle of a move.
+    """
 
     STOP = "stop"
     PAUSE = "pause"
+    PAUSED = "paused"
     ABORT = "abort"
 
 
@@ -47,6 +51,7 @@ _TABLE: Mapping[tuple[State | None, Pending | None], PackML] = {
     (State.FAULT, None): PackML.ABORTED,
     **{(state, Pending.STOP): PackML.STOPPING for state in (*_RUNNING, State.HELD)},
     **{(state, Pending.PAUSE): PackML.HOLDING for state in _RUNNING},
+    **{(state, Pending.PAUSED): PackML.HELD for state in _RUNNING},
     **{(state, Pending.ABORT): PackML.ABORTING for state in (*_RUNNING, State.HELD)},
 }
 

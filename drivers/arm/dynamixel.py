@@ -25,6 +25,13 @@ from drivers.arm.gripping import move_jaws, send_jaws
 from drivers.arm.replies import Identity
 from drivers.arm.servos import TELEMETRY, read_telemetry_surely
 
+_PAUSED_LOOK = 0.02
+"""s between looks at whether a grip that waits may begin."""
+
+
+def _stands() -> bool:
+    return True
+
 
 class DynamixelArm:
     """An arm of Dynamixel X servos.
@@ -48,6 +55,7 @@ class DynamixelArm:
         self._energised = False
         self._held = False
         self._paused = False
+        self._standing: Callable[[], bool] = _stands
         self._stops = 0
         self._mover: int | None = None
         self._moving = threading.Lock()
@@ -155,6 +163,11 @@ class DynamixelArm:
         """Go on along the path from where `pause` has held the move; from any thread."""
         self._paused = False
 
+    @property
+    def holds(self) -> bool:
+        """A pause is in force, and what it had to end has ended; from any thread."""
+        return self._paused and self._standing()
+
     def _stop_watch(self) -> Callable[[], bool]:
         """Says whether a stop was asked for since now, even if it has been cleared again."""
         stops = self._stops
@@ -207,7 +220,9 @@ class DynamixelArm:
                     gripper, now = self.description.gripper, state.opening
                     wanted = opening = min(max(opening, gripper.opening[0]), gripper.opening[1])
                     errands = [(after, lambda: send_jaws(body, wanted, angle_from_opening(gripper, now)))]
-                return Follower(body, trajectory, state, stop_requested, lambda: self._paused, errands, opening).run()
+                move = Follower(body, trajectory, state, stop_requested, lambda: self._paused, errands, opening)
+                with self._under_way(move.stands):
+                    return move.run()
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:
         """Move the jaws to a clear opening (mm) or until they stop on something; blocks.
@@ -228,16 +243,27 @@ class DynamixelArm:
         stop_requested = self._stop_watch()
         with self._exclusive("grip"):
             self._need_torque("grip")
+            while self._paused and not stop_requested():
+                body.clock.sleep(_PAUSED_LOOK)
             if stop_requested():
                 state = body.state()
                 return GripReport(False, False, state.opening, state.gripper_load)
             low, high = body.description.gripper.opening
-            with body.watched():
+            with self._under_way(lambda: False), body.watched():
                 return move_jaws(body, min(max(opening, low), high), effort, stop_requested)
 
     def _need_torque(self, operation: str) -> None:
         if not self._energised:
             raise ArmError(self.description.name, operation, "torque is off", "energise the arm first")
+
+    @contextmanager
+    def _under_way(self, standing: Callable[[], bool]) -> Iterator[None]:
+        """Something moves, unless `standing` says that it does not."""
+        self._standing = standing
+        try:
+            yield
+        finally:
+            self._standing = _stands
 
     @contextmanager
     def _exclusive(self, operation: str) -> Iterator[None]:

@@ -117,6 +117,10 @@ class Follower:
         self._worst = 0.0
         self._failure: ArmError | None = None
 
+    def stands(self) -> bool:
+        """The goals do not move on and the joints have come to rest; from any thread."""
+        return self._progress.standing and bool(self._speeds.max() <= _SETTLED_SPEED)
+
     def run(self) -> MoveReport:
         """Stream until the end, a stop or a failure; blocks.
 

@@ -162,6 +162,43 @@ def test_a_cell_comes_up_stopped_and_moves_only_when_it_is_started(
         assert [run["end_reason"] for run in ledger.rows("runs")] == ["stopped"]
 
 
+def test_a_pause_in_mid_move_holds_there_and_resume_goes_on(
+    cell: RunningCell, devices: list[Devices], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, truth, on_step = devices[0].arm, devices[0].truth, devices[0].on_step
+    assert truth is not None
+    assert on_step is not None
+    follow, paused, left = arm.follow, threading.Event(), [0.0]
+
+    def watched(trajectory, *more):  # type: ignore[no-untyped-def]
+        if trajectory.name == "carry" and not paused.is_set():
+            left[0] = 0.5 * trajectory.duration
+        report = follow(trajectory, *more)
+        left[0] = 0.0
+        return report
+
+    def halfway(step: float) -> None:
+        if 0.0 < left[0] <= step and not paused.is_set():
+            assert cell.operator.ask("pause")["state"] == "HOLDING"
+            paused.set()
+        left[0] -= step
+
+    monkeypatch.setattr(arm, "follow", watched)
+    on_step(halfway)
+    cell.operator.ask("start")
+    assert paused.wait(60.0)
+    cell.wait_for("state", "HELD")
+    status = cell.operator.ask("status")
+    assert (status["cycle_state"], status["reason"]) == ("PLACE", "somebody has paused")
+    stood = truth.tool()
+    threading.Event().wait(0.05)
+    # Held by its servos, a part in its jaws: no more than what is left of a swing.
+    assert truth.tool() == pytest.approx(stood, abs=0.5)
+    assert stood[2] > 30.0
+    cell.operator.ask("resume")
+    cell.wait_for("counts", {"placed": PARTS})
+
+
 @pytest.mark.safety("SR-22")
 def test_a_fault_latches_until_it_is_reset(
     cell: RunningCell, devices: list[Devices], monkeypatch: pytest.MonkeyPatch

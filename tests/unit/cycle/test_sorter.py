@@ -303,6 +303,54 @@ def test_a_part_that_sticks_is_a_fault_where_nobody_helps(monkeypatch: pytest.Mo
     assert 60.0 < bench.clock.now() < 90.0
 
 
+@pytest.mark.parametrize("name", ["home", "approach", "grip", "carry"])
+def test_a_pause_holds_where_the_arm_is_and_goes_on_from_there(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.open()
+    sorter = bench.sorter()
+    paused: list[float] = []
+    stood: list[tuple[float, ...]] = []
+
+    def pause(command: dict[str, object]) -> None:
+        if command.get("name", command["command"]) == name and not paused:
+            paused.append(bench.clock.now())
+
+    def watch(now: float) -> None:
+        if paused and not stood and now > paused[0] + 0.2:
+            sorter.request_pause()
+            stood.append(tuple(bench.arm.state().positions))
+        elif stood and sorter.holds and now < paused[0] + 30.0:
+            stood.append(tuple(bench.arm.state().positions))
+        elif stood and now > paused[0] + 30.0:
+            sorter.resume()
+
+    bench.on_command = pause
+    bench.on_sleep = watch
+    sorter.run()
+    assert len(stood) > 500
+    assert len(set(stood[1:])) == 1
+    assert bench.results == [Result.PLACED]
+    assert bench.clock.now() > 30.0
+
+
+def test_a_stop_ends_a_pause_and_parks(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.open()
+    sorter = bench.sorter()
+
+    def watch(now: float) -> None:
+        if sorter.holds:
+            sorter.request_stop()
+            sorter.request_pause()  # too late
+
+    bench.on_command = lambda c: sorter.request_pause() if c.get("name") == "carry" else None
+    bench.on_sleep = watch
+    sorter.run()
+    assert sorter.machine.state is S.STOPPED
+    assert bench.commands[-2:] == ["park", "relax"]
+    assert bench.results == [Result.ABORTED]
+
+
 @pytest.mark.safety("SR-24")
 def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))

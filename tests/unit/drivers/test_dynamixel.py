@@ -91,6 +91,9 @@ def test_a_pause_holds_anywhere_and_goes_on_to_the_same_end(at: float) -> None:
         bench.later(at, arm.pause)
         bench.later(at + 0.5, lambda: held.append(bench.positions()))
         bench.later(at + 1.5, lambda: held.append(bench.positions()))
+        told = [arm.holds]
+        bench.later(at + 0.01, lambda: told.append(arm.holds))
+        bench.later(at + 1.4, lambda: told.append(arm.holds))
         bench.later(at + 1.5, arm.resume)
         bench.stream.goals.clear()
         began = bench.plant.now()
@@ -101,10 +104,30 @@ def test_a_pause_holds_anywhere_and_goes_on_to_the_same_end(at: float) -> None:
     if at < 0.6:
         assert bench.plant.now() - began > 0.6 + 1.3
         assert np.abs(held[1] - held[0]).max() < 0.005
+        # A move that was not begun yet stands at once, another takes its way to slow down.
+        assert told == [at == 0.0, at == 0.0, True]
     # Nothing is caught up: no step is larger than the move's own.
     largest = np.abs(np.diff(move.goals[:, 0])).max() * TICKS_PER_RAD
     assert np.diff(ticks).min() >= 0
     assert np.diff(ticks).max() <= largest + 1
+
+
+def test_jaws_wait_while_paused() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        arm.grip(60.0)
+        arm.pause()
+        seen: list[tuple[float, bool]] = []
+        bench.later(1.0, lambda: seen.append((arm.state().opening, arm.holds)))
+        bench.later(1.1, arm.resume)
+        assert arm.grip(40.0).finished
+        ((opening, held),) = seen
+        assert abs(opening - 60.0) < JAW_TOLERANCE
+        assert held
+        assert abs(arm.state().opening - 40.0) < JAW_TOLERANCE
+        arm.pause()
+        bench.later(0.5, arm.request_stop)
+        assert not arm.grip(60.0).finished
 
 
 def test_a_pause_does_not_outlive_a_stop() -> None:

@@ -41,7 +41,7 @@ class Events:
         raise NotImplementedError
 
     def doings(self) -> list[tuple[str, float, str]]:
-        return [(details["doing"], at, details.get("code", "")) for _, at, details in self.events]
+        return [(details["doing"], at, details.get("code", "")) for kind, at, details in self.events if kind == "state"]
 
 
 @pytest.fixture
@@ -92,6 +92,15 @@ def test_a_pause_is_a_hold_of_its_own(chronicle: Chronicle, ledger: Events) -> N
     enter(chronicle, 1.0, State.HOMING, State.CAPTURE, State.HELD)
     enter(chronicle, 4.0, State.CAPTURE, State.DETECT)
     assert ledger.doings() == [("sorting", 1.0, ""), ("paused", 1.0, ""), ("sorting", 4.0, "")]
+
+
+def test_a_pause_in_mid_move_is_told_by_whoever_asked_for_it(chronicle: Chronicle, ledger: Events) -> None:
+    enter(chronicle, 1.0, State.HOMING, State.CAPTURE, State.PICK)
+    chronicle.commanded("pause", 1000)
+    enter(chronicle, 3.0, State.PLACE)
+    chronicle.commanded("resume", 1000)
+    enter(chronicle, 4.0, State.CAPTURE)
+    assert [doing for doing, _, _ in ledger.doings()] == ["sorting", "paused", "sorting"]
 
 
 def test_a_fault_lasts_until_it_is_reset(chronicle: Chronicle, ledger: Events) -> None:

@@ -33,6 +33,7 @@ class PretendedWork:
         self.fault: SorterError | None = None
         self.running = threading.Event()
         self.told: list[str] = []
+        self.stands = False
         self._operation = operation
         self._over = threading.Event()
 
@@ -51,6 +52,10 @@ class PretendedWork:
 
     def resume(self) -> None:
         self.told.append("resume")
+
+    @property
+    def holds(self) -> bool:
+        return self.stands
 
     def fail(self, error: SorterError) -> None:
         """Latch a fault, as the cycle does, and go on bringing the arm to rest."""
@@ -162,9 +167,15 @@ def test_a_start_a_pause_a_resume_and_a_stop(cell: Cell) -> None:
     assert cell.shows() == "EXECUTE"
     cell.operation.pause()
     assert cell.shows() == "HOLDING"
+    assert cell.said[-1] == "HOLDING: 0 placed"
+    work.stands = True  # in the middle of a move
+    assert cell.shows() == "HELD"
+    assert cell.operation.status().reason == "somebody has paused"
+    work.stands = False
     cell.operation.entered(State.HELD, 3.0)
     assert cell.shows() == "HELD"
     cell.operation.resume()
+    assert cell.said[-1].startswith("HELD")  # until the cycle goes on
     cell.operation.stop()
     assert work.told == ["pause", "resume", "stop"]
     cell.rested()
