@@ -22,7 +22,7 @@ from controller.vision.classes.silhouette import Silhouette, silhouettes
 
 Floats32 = NDArray[np.float32]
 
-VERSION = 2
+VERSION = 3
 """Changes whenever a figure's meaning does: classes taught with another version have to be taught again."""
 
 _RINGS, _ANGLES, _HARMONICS = 14, 64, 12
