@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -81,13 +82,14 @@ def locate(
         noise: What is known about outlines and heights.
         limits: When a fit is refused.
     """
-    known, bounds = noise or Noise(), limits or Limits()
+    known = noise or Noise()
+    objection = cache(partial(_objection, limits=limits or Limits()))
     objects: list[LocatedObject] = []
     refused: list[tuple[Detection, str]] = []
     in_the_way: list[LocatedObject] = []
     for detection in detections:
         height = heights(detection)
-        found = _locate_one(detection, calibration, height, refine, known, bounds)
+        found = _locate_one(detection, calibration, height, refine, known, objection)
         if not isinstance(found, str):
             objects.append(found)
             continue
@@ -100,7 +102,12 @@ def locate(
 
 
 def _locate_one(
-    detection: Detection, calibration: CellCalibration, height: float, refine: bool, noise: Noise, limits: Limits
+    detection: Detection,
+    calibration: CellCalibration,
+    height: float,
+    refine: bool,
+    noise: Noise,
+    objection: Callable[[PrismFit], str | None],
 ) -> LocatedObject | str:
     if "cut_by_border" in detection.flags:
         return "cut by the border of the picture"
@@ -113,9 +120,9 @@ def _locate_one(
         return rough
     if len(detection.outline_px) < MIN_POINTS:
         return f"only {len(detection.outline_px)} outline points"
-    fit = _fit(detection, detection.outline_px, calibration, rough, noise, limits)
-    fit = second_look(detection, calibration, fit, height, noise, lambda found: _objection(found, limits))
-    reason = _objection(fit, limits)
+    fit = _fit(detection, calibration, rough, noise, objection)
+    fit = second_look(detection, calibration, fit, height, noise, objection)
+    reason = objection(fit)
     if reason:
         return reason
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
@@ -140,19 +147,15 @@ def _on_half_height(detection: Detection, calibration: CellCalibration, height: 
     outline = plane.to_plane(detection.outline_px)
     if not np.isfinite(outline).all():
         return None
-    x, y = outline[:, 0], outline[:, 1]
-    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    following = np.concatenate([outline[1:], outline[:1]])
+    cross = outline[:, 0] * following[:, 1] - following[:, 0] * outline[:, 1]
     area = cross.sum() / 2
+    if abs(area) < 1.0:
+        return None
+    x, y = (cross @ (outline + following) / (6 * area)).tolist()
+    center = (x, y)
     if area < 0.0:
         outline, area = outline[::-1], -area
-        x, y = outline[:, 0], outline[:, 1]
-        cross = x * np.roll(y, -1) - np.roll(x, -1) * y
-    if area < 1.0:
-        return None
-    center = (
-        float(((x + np.roll(x, -1)) * cross).sum() / (6 * area)),
-        float(((y + np.roll(y, -1)) * cross).sum() / (6 * area)),
-    )
     _, sides, _ = cv2.minAreaRect((outline - center).astype(np.float32))
     size = (float(max(sides)), float(min(sides)))
     if detection.shape is Shape.CIRCLE:
@@ -184,15 +187,14 @@ def _yaw(detection: Detection, calibration: CellCalibration, level: float) -> fl
 
 def _fit(
     detection: Detection,
-    outline: Array,
     calibration: CellCalibration,
     rough: LocatedObject,
     noise: Noise,
-    limits: Limits,
+    objection: Callable[[PrismFit], str | None],
 ) -> PrismFit:
     """The best prism: from the detection's own direction, or from others when that one is not explained."""
     shape, height = detection.shape, rough.height
-    silhouette = Silhouette(outline, calibration.camera, calibration.T_table_camera)
+    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
     first = rough.yaw or 0.0
     if shape is Shape.RECTANGLE:
         dimensions: tuple[float, ...] = rough.size
@@ -206,7 +208,7 @@ def _fit(
     for turn in (0.0,) if shape.period is None else _TURNS:
         start = (*rough.center, first + turn * (shape.period or 0.0))
         fit = silhouette.fit(shape, start, dimensions, height, noise)
-        if _objection(fit, limits) is None:
+        if objection(fit) is None:
             return fit
         best = fit if best is None else min(best, fit, key=lambda one: one.cost)
     assert best is not None

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 #: Pieces of the outline that are measured one by one, px: short against any side, long enough to average noise.
 _PIECE = 8.0
 _STEP = 0.5
+#: Where along a piece it is sampled.
+_SHARES = np.linspace(-0.5, 0.5, 9)
+_ONES = np.ones((1, len(_SHARES)), np.float32)
 #: An edge is this clear by itself, levels of 255 a pixel, ...
 _LEAST = 3.0
 #: ... and against the clearest one in reach.
@@ -51,13 +54,14 @@ def misfit(image: NDArray[np.uint8], foot: Array, top: Array) -> float:
     The border between top face and a side counts too: without it a prism as large as the whole silhouette would do.
     What has no edge near it counts as `_FAR`.
     """
-    side = np.roll(foot, -1, axis=0) - foot
-    normal = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
-    normal *= np.sign(np.einsum("ij,ij->i", normal, foot + side / 2 - top.mean(axis=0)))[:, None]
-    strip = np.einsum("ij,ij->i", normal, foot - top)
+    next_foot, next_top = (np.concatenate([corners[1:], corners[:1]]) for corners in (foot, top))
+    side = next_foot - foot
+    normal = side[:, ::-1] * (1.0, -1.0) / np.hypot(side[:, 0], side[:, 1])[:, None]
+    normal *= np.sign((normal * (foot + side / 2 - top.mean(axis=0))).sum(axis=1))[:, None]
+    strip = (normal * (foot - top)).sum(axis=1)
     border, ground = (strip <= 0.0) | (strip > _NARROWEST), strip > 0.0
-    starts = np.vstack([top[border], foot[ground]])
-    ends = np.vstack([np.roll(top, -1, axis=0)[border], np.roll(foot, -1, axis=0)[ground]])
+    starts = np.concatenate([top[border], foot[ground]])
+    ends = np.concatenate([next_top[border], next_foot[ground]])
     at, found = _beside(image, *_pieces(starts, ends), _FAR)
     return float(np.where(found, np.abs(at), _FAR).mean())
 
@@ -67,24 +71,20 @@ def _beside(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """How far (M,) beside each piece the nearest clear edge lies, px, and whether there is one."""
     across = np.arange(-reach - 1.0, reach + 1.0 + _STEP, _STEP)
-    shares = np.linspace(-0.5, 0.5, 9)[:, None, None]
-    places = middle[:, None, None] + shares * along[:, None, None] + across[:, None] * normal[:, None, None]
-    seen = cv2.remap(
-        image,
-        places.reshape(len(middle), -1, 2).astype(np.float32),
-        np.empty(0),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    profile = np.asarray(seen, np.float64).reshape(len(middle), len(shares), len(across), 3).mean(axis=1)
-    slope = np.linalg.norm(profile[:, 2:] - profile[:, :-2], axis=2) / (2 * _STEP)
+    on = (middle[:, None] + _SHARES[:, None] * along[:, None]).astype(np.float32)
+    out = (across[:, None] * normal[:, None]).astype(np.float32)
+    x, y = ((on[:, :, None, i] + out[:, None, :, i]).reshape(len(middle), -1) for i in (0, 1))
+    seen = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    profile = (_ONES @ seen.reshape(len(middle), len(_SHARES), -1)).reshape(len(middle), -1, 3)
+    step = profile[:, 2:] - profile[:, :-2]
+    slope = np.sqrt(np.einsum("ijk,ijk->ij", step, step)).astype(np.float64) / (2 * _STEP * len(_SHARES))
     return _nearest(slope, across[1:-1], reach)
 
 
 def _pieces(starts: Array, ends: Array) -> tuple[Array, Array, Array]:
     """Middles, vectors along and unit normals (M, 2) of the pieces of lines (K, 2) to (K, 2)."""
     side = ends - starts
-    length = np.linalg.norm(side, axis=1)
+    length = np.hypot(side[:, 0], side[:, 1])
     if len(side) > _MANY:  # a circle's many short sides: every so manieth is enough
         step = max(1, int(_PIECE / max(float(np.median(length)), 1e-9)))
         starts, side, length = starts[::step], side[::step] * step, length[::step] * step
@@ -93,7 +93,7 @@ def _pieces(starts: Array, ends: Array) -> tuple[Array, Array, Array]:
     first = np.repeat(np.cumsum(counts) - counts, counts)
     along = side[which] / counts[which][:, None]
     middle = starts[which] + (np.arange(len(which)) - first + 0.5)[:, None] * along
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    normal = along[:, ::-1] * (1.0, -1.0) / np.hypot(along[:, 0], along[:, 1])[:, None]
     return middle, along, normal
 
 

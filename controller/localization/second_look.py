@@ -7,13 +7,15 @@ the stated height is there: of several candidates the one whose edges it shows b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import CellCalibration, Detection, Shape
+from controller.geometry import invert, transform
 from controller.localization.prism import Noise, PrismFit, Silhouette, footprint
 from controller.localization.remeasure import misfit, remeasured
 
@@ -28,6 +30,8 @@ TORN = 3.0
 _DOUBTFUL = 0.25
 #: ... and another must be this much nearer to them.
 _MARGIN = 0.1
+#: Prisms that differ by less than this, mm, are the same.
+_SAME = 0.1
 #: How far about a silhouette its edges are looked for, px, first and then nearer.
 _REACHES = (6.0, 4.0, 2.5)
 #: Sides narrower than this, px, are within reach of where the outline has them.
@@ -61,20 +65,29 @@ def second_look(
     if sound and strain <= _STRAINED and beside <= _DOUBTFUL:
         return fit
     best, least = fit, beside - _MARGIN if sound and strain <= TORN else np.inf
+    settled: list[PrismFit] = []
     for start in _starts(detection, calibration, fit, height, noise):
-        found = _settled(detection, calibration, start, height, noise)
-        if found is None or objection(found) is not None or abs(found.height - height) > TORN * noise.height:
+        found = _settled(detection, calibration, start, height, noise, settled)
+        if found is None:
+            continue
+        settled.append(found)
+        if objection(found) is not None or abs(found.height - height) > TORN * noise.height:
             continue
         value = misfit(image, *corners(detection, calibration, found))
         if value < least:
             best, least = found, value
+        if least < _MARGIN:
+            break
     return best
 
 
 def corners(detection: Detection, calibration: CellCalibration, fit: PrismFit) -> tuple[Array, Array]:
     """Pixels (K, 2) of a fitted prism's corners on the table, and of those above them."""
     feet = footprint(detection.shape, fit.center, fit.yaw, fit.dimensions)
-    return calibration.plane(0.0).to_pixels(feet), calibration.plane(fit.height).to_pixels(feet)
+    levels = np.repeat([0.0, fit.height], len(feet))
+    points = np.column_stack([np.concatenate([feet, feet]), levels])
+    pixels = calibration.camera.project(transform(invert(calibration.T_table_camera), points))
+    return pixels[: len(feet)], pixels[len(feet) :]
 
 
 def _starts(
@@ -112,9 +125,14 @@ def _moved_out(outline: Array, foot: Array, top: Array) -> Iterator[Array]:
 
 
 def _settled(
-    detection: Detection, calibration: CellCalibration, start: PrismFit, height: float, noise: Noise
+    detection: Detection,
+    calibration: CellCalibration,
+    start: PrismFit,
+    height: float,
+    noise: Noise,
+    known: Sequence[PrismFit],
 ) -> PrismFit | None:
-    """The prism on the edges of the picture near a start, or None when there are too few."""
+    """The prism on the edges of the picture near a start; None when they are too few or lead to a known one."""
     found = start
     for reach in _REACHES:
         held = replace(found, height=height)
@@ -122,7 +140,15 @@ def _settled(
         if len(outline) < _LEAST_POINTS:
             return None
         found = _fitted(outline, detection, calibration, found, height, noise)
+        if any(_same(found, other) for other in known):
+            return None
     return found
+
+
+def _same(one: PrismFit, other: PrismFit) -> bool:
+    turned = abs((one.yaw or 0.0) - (other.yaw or 0.0)) * max(one.dimensions)
+    grown = max(abs(a - b) for a, b in zip(one.dimensions, other.dimensions, strict=True))
+    return max(math.dist(one.center, other.center), turned, grown) < _SAME
 
 
 def _fitted(
