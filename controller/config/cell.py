@@ -119,9 +119,9 @@ class BinSection(StrictModel):
     """Middle of the bin in `table`."""
     size_mm: tuple[float, float] = (90.0, 90.0)
     """Inner size along x and y of `table`."""
-    wall_mm: float = Field(35.0, ge=0.0, le=300.0)
+    wall_mm: float = Field(60.0, ge=0.0, le=300.0)
     """Height of its walls."""
-    capacity: int = Field(20, ge=1, le=10_000)
+    capacity: int = Field(6, ge=1, le=10_000)
 
     def overlaps(self, other: BinSection) -> bool:
         """Whether the inner space of two bins meets: their walls, up to 4 mm thick, may be one."""

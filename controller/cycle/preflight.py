@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from controller.config.cell import CellConfig, RuleSection
-from controller.domain import ArmDescription, Gripper, Shape
+from controller.cycle.stock import drop_points, pile_of
+from controller.domain import ArmDescription, Bin, Gripper, Shape
 from controller.errors import ConfigError
 from controller.motion.grasps import OPENING_MARGINS
 from controller.motion.planner import Planner
@@ -18,6 +19,9 @@ _ACROSS: Mapping[Shape | None, float] = {
     Shape.TRIANGLE: math.sqrt(3.0) / 2.0,
 }
 """Extent between the jaws over the long side that rules speak of, for shapes whose one side tells the other."""
+
+_SPOT_MM = 60.0
+"""Side of the floor that a part of 45 mm takes up, with the gap beside it."""
 
 
 def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str]:
@@ -42,7 +46,9 @@ def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str
                 f"{arm.title}: {error}",
                 "move it closer or lower its walls",
             )
-    warnings = []
+    warnings: list[str] = []
+    for section, bin_ in zip(config.bins, config.bin_values(), strict=True):
+        warnings += _overfilled(bin_, _tallest(config, section.name), planner)
     used = {rule.bin for rule in config.sorting.rules} | {config.sorting.otherwise}
     warnings += [f"bin {bin_.name} is named by no rule" for bin_ in config.bins if bin_.name not in used]
     for index, rule in enumerate(config.sorting.rules):
@@ -50,6 +56,35 @@ def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str
         misfit = _misfit(rule, arm.gripper)
         warnings += [f"sorting.rules[{index}] {misfit}"] if misfit else []
     return warnings
+
+
+def _tallest(config: CellConfig, name: str) -> float:
+    """Height of the tallest part that may come into a bin, mm; 0 when no heights are stated."""
+    rules = [rule for rule in config.sorting.rules if rule.bin == name]
+    anything = name == config.sorting.otherwise or any(rule.shape is None for rule in rules)
+    shapes = {rule.shape for rule in rules}
+    return max((part.height_mm for part in config.parts if anything or part.shape in shapes), default=0.0)
+
+
+def _overfilled(bin_: Bin, tall: float, planner: Planner) -> list[str]:
+    """What keeps a bin from taking as many parts as it is said to: low walls, or the reach over what lies in it."""
+    found = []
+    layer = tall * _SPOT_MM**2 / (bin_.size[0] * bin_.size[1])
+    # The topmost part stays while half of it lies behind the walls.
+    if layer * bin_.capacity - tall / 2.0 > bin_.height:
+        fits = int((bin_.height + tall / 2.0) / layer)
+        found.append(
+            f"bin {bin_.name}: {bin_.capacity} parts of {tall:g} mm may lie {layer * bin_.capacity:.0f} mm high and "
+            f"slide over its walls of {bin_.height:g} mm, which hold {fits}"
+        )
+    for count in range(1, bin_.capacity):
+        if any(planner.bin_error(bin_, point, pile_of(count)) for point in drop_points(bin_)):
+            found.append(
+                f"bin {bin_.name}: over {count} parts the arm can let go no further one, the capacity is "
+                f"{bin_.capacity}"
+            )
+            break
+    return found
 
 
 def _oddities(index: int, rule: RuleSection, rules: Sequence[RuleSection]) -> list[str]:

@@ -19,6 +19,17 @@ LAYER_MM = 8.0
 """What every further part adds to that, on average: 20 cm^3 over the floor of a usual bin, with gaps."""
 
 
+def drop_points(bin_: Bin) -> tuple[Point, Point, Point, Point]:
+    """Where in a bin parts are let go, one place after the other, (x, y) in `table`, mm."""
+    (x, y), dx, dy = bin_.center, DROP_SPREAD * bin_.size[0], DROP_SPREAD * bin_.size[1]
+    return (x - dx, y - dy), (x + dx, y + dy), (x + dx, y - dy), (x - dx, y + dy)
+
+
+def pile_of(count: int, longest: float = 0.0) -> float:
+    """Height over the table that so many parts in a bin may reach, mm; `longest` is the longest side of any, mm."""
+    return 0.0 if count == 0 else max(longest, ASKEW_MM) + LAYER_MM * (count - 1)
+
+
 class Stock:
     """Counts the parts in the bins.
 
@@ -48,14 +59,11 @@ class Stock:
 
     def drop_point(self, bin_: Bin) -> Point:
         """Where in a bin the next part is let go, (x, y) in `table`, mm."""
-        corner = self._filled[bin_.name] % 4
-        dx, dy = ((-1, -1), (1, 1), (1, -1), (-1, 1))[corner]
-        return bin_.center[0] + dx * DROP_SPREAD * bin_.size[0], bin_.center[1] + dy * DROP_SPREAD * bin_.size[1]
+        return drop_points(bin_)[self._filled[bin_.name] % 4]
 
     def pile(self, bin_: Bin) -> float:
         """Height over the table that what lies in a bin already may reach, mm."""
-        count = self._filled[bin_.name]
-        return 0.0 if count == 0 else max(self._longest.get(bin_.name, 0.0), ASKEW_MM) + LAYER_MM * (count - 1)
+        return pile_of(self._filled[bin_.name], self._longest.get(bin_.name, 0.0))
 
     def placed(self, bin_: Bin, thing: LocatedObject) -> None:
         """One more part lies in a bin."""

@@ -95,6 +95,10 @@ class Gate:
         tips = self._tips(q[None], points(self.arm, q)[None, 3], opening)
         return bool(_inside(np.abs(tips[..., :2] - np.array(bin.center)), np.array(bin.size) / 2.0)[0])
 
+    def lowest(self, q: Array, opening: float) -> float:
+        """Height over the table (mm) of the lowest corner of the jaw tips, opened, in a posture (J,)."""
+        return float(self._tips(q[None], points(self.arm, q)[None, 3], opening)[..., 2].min())
+
     def _tips(self, q: Array, tool: Array, opening: float) -> Array:
         """Outer corners of the jaw tips in `table`: ndarray of shape (N, 4, 3), mm."""
         gripper = self.arm.gripper

@@ -274,9 +274,9 @@ class Planner:
         """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
         return self._postures.error(point, height)
 
-    def bin_error(self, bin: Bin) -> str | None:
-        """Why no part can be let go in the middle of a bin, or None when it can."""
-        return self._postures.bin_error(bin)
+    def bin_error(self, bin: Bin, drop: Point | None = None, pile: float | None = None) -> str | None:
+        """Why no part can be let go in a bin, or None when it can; see `Postures.bin_error`."""
+        return self._postures.bin_error(bin, drop, pile)
 
     def _tangent(self, point: Point) -> float | None:
         return None if self.turns_jaws else self._postures.tangent(point)

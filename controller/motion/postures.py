@@ -27,7 +27,7 @@ LIFT = 60.0
 CLEARANCE = 10.0  # mm over walls and parts in transit
 TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
 PART_BELOW_TIPS = grasps.TIP_HEIGHT
-TILT_ROOM = 3.0  # mm that a jaw's corner comes lower at the flattest pitch than pointing down
+SETTLING = 3.0  # mm between the lowest corner of the jaws and what the gate asks over a wall
 FALL = 8.0  # mm that a part may fall onto what lies in the bin
 MIN_BEND = math.radians(8.0)
 
@@ -126,7 +126,7 @@ class Postures:
         if (np.abs(np.array(drop) - bin.center) > half).any():
             raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
         opening = grasp.opening if grasp is not None else gripper.opening[1]
-        brim = bin.height + WALL_MARGIN + TILT_ROOM
+        brim = bin.height + WALL_MARGIN + SETTLING
         over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
         deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
         best: tuple[float, Stop] | None = None
@@ -146,6 +146,9 @@ class Postures:
                 fits = deep < over and self._gate.jaws_inside(bin, stop.low, opening)
                 if not fits:
                     stop = self.over(place, over, (roll,))
+                    # A tool that leans out has one jaw lower than the other.
+                    if (short := brim - self._gate.lowest(stop.low, opening)) > 0.0:
+                        stop = self.over(place, over + short, (roll,))
             except Unreachable as error:
                 failure = failure or error
                 continue
@@ -167,10 +170,16 @@ class Postures:
             return error.cause
         return None
 
-    def bin_error(self, bin: Bin) -> str | None:
-        """Why no part can be let go in the middle of a bin, or None when it can."""
+    def bin_error(self, bin: Bin, drop: Point | None = None, pile: float | None = None) -> str | None:
+        """Why no part can be let go in a bin, or None when it can.
+
+        Args:
+            bin: The bin.
+            drop: (x, y) in `table`, mm; its middle when None.
+            pile: Height of what lies in it, mm, or None: unknown, up to the brim.
+        """
         try:
-            self.drop(bin, bin.center, None, np.array(self._arm.ready), (0.0, 0.0), None)
+            self.drop(bin, bin.center if drop is None else drop, None, np.array(self._arm.ready), (0.0, 0.0), pile)
         except PlanError as error:
             return error.cause
         return None

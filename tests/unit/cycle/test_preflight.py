@@ -10,14 +10,15 @@ from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, RuleSection, load_cell
 from controller.config.files import shipped
 from controller.cycle.preflight import check
-from controller.domain import ArmDescription
+from controller.domain import ArmDescription, Bin, Point
 
 
 class Willing:
     """A planner that reaches everything."""
 
-    def bin_error(self, bin_: object) -> None:
-        """No error."""
+    def bin_error(self, bin_: Bin, drop: Point | None = None, pile: float | None = None) -> str | None:
+        """None below the height it reaches."""
+        return "too high" if pile is not None and pile > 85.0 else None
 
 
 def warnings(*rules: dict[str, Any]) -> list[str]:
@@ -32,6 +33,26 @@ def warnings(*rules: dict[str, Any]) -> list[str]:
 def test_the_shipped_cells_have_nothing_odd() -> None:
     config = load_cell(shipped("sim.toml"))
     assert check(config, load_arm("reactorx_150"), Willing()) == []  # type: ignore[arg-type]  # a stand-in
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"wall_mm": 35.0}, "may lie 64 mm high and slide over its walls of 35 mm, which hold 4"),
+        ({"wall_mm": 35.0, "capacity": 4}, ""),
+        ({"wall_mm": 300.0, "capacity": 7}, ""),
+        ({"wall_mm": 300.0, "capacity": 8}, "over 7 parts the arm can let go no further one, the capacity is 8"),
+    ],
+)
+def test_a_bin_that_cannot_take_its_capacity_is_named(changed: dict[str, Any], said: str) -> None:
+    config = load_cell(shipped("sim.toml"))
+    circles = next(i for i, bin_ in enumerate(config.bins) if bin_.name == "circles")
+    bins = list(config.bins)
+    bins[circles] = bins[circles].model_copy(update=changed)
+    planner: Any = Willing()
+    found = check(config.model_copy(update={"bins": tuple(bins)}), load_arm("reactorx_150"), planner)
+    assert [line for line in found if said not in line or not line.startswith("bin circles: ")] == []
+    assert len(found) == bool(said)
 
 
 @pytest.mark.parametrize(

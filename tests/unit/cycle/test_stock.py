@@ -6,7 +6,7 @@ from collections import Counter
 
 from controller.config.cell import load_cell
 from controller.config.files import shipped
-from controller.cycle.stock import LAYER_MM, Stock
+from controller.cycle.stock import ASKEW_MM, LAYER_MM, Stock
 from tests.unit.cycle.bench import part
 
 
@@ -24,4 +24,4 @@ def test_jaws_stay_above_a_part_that_stands_on_end() -> None:
 def test_after_a_restart_a_bin_is_as_full_as_it_was() -> None:
     config = load_cell(shipped("sim.toml"))
     bin_ = config.bin_values()[0]
-    assert Stock(config, Counter({bin_.name: 1})).pile(bin_) > bin_.height
+    assert Stock(config, Counter({bin_.name: 1})).pile(bin_) == ASKEW_MM
