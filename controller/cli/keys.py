@@ -1,17 +1,22 @@
-"""The client side of jogging: keys of a terminal, or lines of a pipe, and a heartbeat as long as they are read."""
+"""The client side of jogging: keys of a terminal, or lines of a pipe, and the heartbeat of whoever gives them.
+
+The heartbeat of a terminal is its own answer to a status query, every 50 ms: it comes the same way as the keys, so
+that a frozen connection or window, from which no `stop` would come either, stops the arm.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import queue
+import re
 import select
 import sys
 import threading
 from collections.abc import Callable, Iterator
 
 from controller.errors import InputError
-from controller.service.jogging import LARGEST_STEP_MM, STEP_DEG, STEP_MM
+from controller.service.jogging import HEARTBEAT, LARGEST_STEP_MM, STEP_DEG, STEP_MM
 
 BEAT = 0.05
 """s between two heartbeats at most."""
@@ -34,7 +39,7 @@ class Keys:
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
+        self.say = say
         self._step = STEP_MM
         self._joint = 1
 
@@ -53,17 +58,63 @@ class Keys:
             return f"jaws{'+' if key == 'o' else '-'} {self._step:g}"
         if key in "123456789":
             self._joint = int(key)
-            self._say(f"joint {key}")
+            self.say(f"joint {key}")
         elif key in "+-":
             factor = 2.0 if key == "+" else 0.5
             # Of the joint's step, which is smaller, the bound is never met before this one.
             self._step = min(max(self._step * factor, _SMALLEST_STEP_MM), LARGEST_STEP_MM)
-            self._say(f"steps of {self._step:g} mm, {STEP_DEG * self._step / STEP_MM:g} deg")
+            self.say(f"steps of {self._step:g} mm, {STEP_DEG * self._step / STEP_MM:g} deg")
         return {" ": "stop", "\r": "where", "\n": "where", "q": "q", "\x04": "q"}.get(key, "")
 
 
+class Echo:
+    """Asks a terminal whether it is there.
+
+    Source: ECMA-48, Device Status Report: `CSI 5 n` asks, `CSI 0 n` answers "ready" (`CSI 3 n`: "malfunction").
+
+    Attributes:
+        answers: The terminal has answered before; one that never does cannot be told from one that is gone.
+
+    Args:
+        descriptor: Of the terminal.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.answers = False
+        self._descriptor = descriptor
+        self._waiting = False
+        self._cut = ""
+
+    def ask(self) -> None:
+        """Ask, unless an answer is still due; never blocks, even when the terminal takes no more."""
+        if not self._waiting and select.select([], [self._descriptor], [], 0.0)[1]:
+            with contextlib.suppress(OSError):
+                os.write(self._descriptor, b"\x1b[5n")
+                self._waiting = True
+
+    def keys(self, typed: str) -> str:
+        """What was typed without the answers in it."""
+        text, answers = _ANSWER.subn("", self._cut + typed)
+        self.answers = self.answers or answers > 0
+        # A terminal that sends keys is there: an answer that got lost is not waited for.
+        self._waiting = self._waiting and not answers and not text
+        self._cut = found[0] if (found := _CUT.search(text)) else ""
+        return text[: len(text) - len(self._cut)]
+
+    def settle(self) -> None:
+        """Wait for the last answer, so that it is not typed into the shell."""
+        while self.answers and self._waiting and select.select([self._descriptor], [], [], HEARTBEAT)[0]:
+            if not (typed := _typed(self._descriptor)):
+                return
+            self.keys(typed)
+
+
+_ANSWER = re.compile(r"\x1b\[[03]n")
+_CUT = re.compile(r"\x1b(\[\d?)?$")  # the beginning of an answer or of an arrow key
+
+
 class Client:
-    """Reads commands in a thread and beats while it does.
+    """Reads commands in a thread and beats as long as those who give them are there.
 
     From a terminal, a key that comes while the arm moves is dropped, so that nothing goes on after the key is let
     go; `stop` acts at once. From a pipe every line is kept, and its end means `q`.
@@ -117,27 +168,46 @@ class Client:
                 thread.join()
 
     def _read(self, descriptor: int) -> None:
+        if self._keys is not None:
+            self._read_keys(descriptor, self._keys)
+            return
         left = ""
         while not self._ended.is_set():
             self._beat()
             if not select.select([descriptor], [], [], BEAT)[0]:
                 continue
             typed = _typed(descriptor)
-            if self._keys is None:
-                *lines, left = (left + typed).split("\n") if typed else (left, "q", "")
-                self._queue(lines)
-                if not typed:
-                    break
-            elif typed:
-                self._take(self._keys.lines(typed))
-            else:
+            *lines, left = (left + typed).split("\n") if typed else (left, "q", "")
+            self._queue(lines)
+            if not typed:
+                break
+        # Whoever wrote into the pipe has said all: the lines are his intent, and this thread stands for him.
+        while not self._ended.wait(BEAT):
+            self._beat()
+
+    def _read_keys(self, descriptor: int, keys: Keys) -> None:
+        echo = Echo(descriptor)
+        echo.ask()
+        warned = False
+        while not self._ended.is_set():
+            if not echo.answers:
+                self._beat()
+            if not select.select([descriptor], [], [], BEAT)[0]:
+                echo.ask()
+                continue
+            typed = _typed(descriptor)
+            if not typed:
                 # The terminal is gone, and with it whoever watched the arm.
                 self._stop()
                 self.quit()
                 return
-        # Whoever wrote into the pipe has said all: the lines are his intent, and this thread stands for him.
-        while not self._ended.wait(BEAT):
             self._beat()
+            lines = keys.lines(echo.keys(typed))
+            if lines and not echo.answers and not warned:
+                warned = True
+                keys.say("this terminal answers no status query: a connection that freezes will not stop the arm")
+            self._take(lines)
+        echo.settle()
 
     def _queue(self, lines: list[str]) -> None:
         for line in lines:

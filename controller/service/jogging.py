@@ -1,7 +1,7 @@
 """Moving the arm by hand, one bounded step at a time, for as long as somebody is there.
 
-Between the client (whoever reads the keys) and the motion loop runs a heartbeat: when it is missing for 200 ms
-the arm slows down along its path and holds, and what was still waiting to be done is forgotten.
+Between the client (the terminal that the keys come from) and the motion loop runs a heartbeat: when it is missing for
+200 ms the arm slows down along its path and holds, and what was still waiting to be done is forgotten.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class DeadMan:
         Raises:
             HeartbeatLost: The client is still silent.
         """
-        if self._silence + _TICK > HEARTBEAT:
-            raise HeartbeatLost("no sign of life from the keys for 200 ms", "the arm holds; look at the terminal")
+        if self._silence + _TICK > HEARTBEAT and not self._heard.is_set():
+            raise HeartbeatLost("no sign of life from the terminal for 200 ms", "the arm holds; look at the connection")
         self.lost = False
 
     @contextlib.contextmanager
