@@ -38,8 +38,8 @@ _CONVEX = 0.93
 """Area over the hull's, above which a region may be one convex object."""
 _COMPLETE = 0.95
 """Share of the points where the outline must be found."""
-_STEPS = (1, 4)
-"""Gauss-Newton steps on all families, on every other point: there are no stray edges to find a way between."""
+_ROUGH, _FINE = (1,), (4,)
+"""Gauss-Newton steps on all families, and on the best two: there are no stray edges to find a way between."""
 _ON_OUTLINE = 0.9
 """Share of the points that must lie on the best family's outline."""
 _GROWN, _GROWN_SHARE = 0.6, 0.01
@@ -79,7 +79,7 @@ def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: floa
         return scene, []
     local = maps.all_to_local(points)
     edges = edges_of(local[:, :, None], found[..., None].astype(np.float64))
-    fits = fit_all(local, edges, scene.factor, _STEPS, ())
+    fits = fit_all(local, edges, scene.factor, _ROUGH, _FINE)
     wanted: list[Hypothesis] = []
     for options in fits:
         if options and options[0].inliers > _ON_OUTLINE:

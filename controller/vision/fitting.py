@@ -110,7 +110,7 @@ def fit_all(
         edges: The edges around each.
         factor: How many times smaller the searched image is: so much worse the edges are known.
         rough: Numbers of the Gauss-Newton steps after which the families that do not suit a region are plain.
-        fine: Numbers of those that bring the others to the end, on all rays; none where the rough ones do.
+        fine: Numbers of those that bring the others to the end.
     """
     count = len(outlines)
     kind = np.repeat(np.arange(len(KINDS)), count)
@@ -118,19 +118,15 @@ def fit_all(
     q = _starts(outlines)
     half = edges.coarser().some(region)
     q = _fit(kind, q, half, factor, rough)
-    cost, inliers, size = _quality(kind, q, half, factor)
-    ranks = np.nan_to_num(cost, nan=np.inf).reshape(len(KINDS), count)
-    place = np.argsort(np.argsort(ranks, axis=0, kind="stable"), axis=0)
-    tiny = np.nan_to_num(size).reshape(len(KINDS), count).min(axis=0) < _TINY * factor
+    cost, _, size = (values.reshape(len(KINDS), count) for values in _quality(kind, q, half, factor))
+    place = np.argsort(np.argsort(np.nan_to_num(cost, nan=np.inf), axis=0, kind="stable"), axis=0)
+    tiny = np.nan_to_num(size).min(axis=0) < _TINY * factor
     rows = np.flatnonzero(((place < 2) | tiny).ravel())
     rows = rows[np.isfinite(q[rows]).all(axis=1)]
-    kind, region, q = kind[rows], region[rows], q[rows]
-    if fine:
-        near = edges.some(region)
-        q = _fit(kind, q, near, factor, fine)
-        cost, inliers, size = _quality(kind, q, near, factor)
-    else:
-        cost, inliers, size = cost[rows], inliers[rows], size[rows]
+    kind, region = kind[rows], region[rows]
+    near = edges.some(region)
+    q = _fit(kind, q[rows], near, factor, fine)
+    cost, inliers, size = _quality(kind, q, near, factor)
     out: list[list[Hypothesis]] = [[] for _ in range(count)]
     usable = np.isfinite(q).all(axis=1)
     for i in np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")].tolist():
