@@ -128,3 +128,45 @@ def test_a_reference_without_scenery_is_refused() -> None:
 def test_each_trouble_has_its_words(change: Change, says: str | None) -> None:
     found = trouble(change)
     assert found is None if says is None else found is not None and says in found[1]
+
+
+def grained(seed: int, table: float) -> Image:
+    """A scene with the light at `table` times its strength: grain of three levels, noise of two, two bins below."""
+    grain = cv2.GaussianBlur(np.random.default_rng(0).normal(0.0, 40.0, SIZE[::-1]).astype(np.float32), (0, 0), 4.0)
+    image = np.repeat((150.0 + grain)[:, :, None], 3, axis=2)
+    for left in (40, 480):
+        cv2.rectangle(image, (left, 290), (left + 110, 350), (60, 55, 50), 6)
+    noise = np.random.default_rng(seed).normal(0.0, 2.0, image.shape)
+    return np.clip(table * image + noise, 0, 255).astype(np.uint8)
+
+
+def test_a_sheet_as_bright_as_the_table_is_no_change_of_light() -> None:
+    scenery = Scenery(grained(1, 1.0), still())
+    for seed in range(2, 8):
+        assert trouble(scenery.compare(grained(seed, 1.0))) is None
+    for seed, light in ((8, 1.0), (9, 0.8), (10, 1.2)):
+        change = scenery.compare(grained(seed, light))
+        assert change.grain > 0.9
+        assert trouble(change) is None
+    bumped = scenery.compare(moved(grained(12, 1.0), -6.0, 4.0, math.radians(0.5)))
+    assert bumped.grain > 0.9  # the move undone
+    covered = grained(11, 0.8)
+    # The bins' edges, by which sharpness is judged, stay in view.
+    covered[:280] = np.clip(120.0 + np.random.default_rng(12).normal(0.0, 2.0, (280, SIZE[0], 3)), 0, 255)
+    change = scenery.compare(covered)
+    assert change.agreement > 0.9  # by brightness alone nothing has changed but the light
+    found = trouble(change)
+    assert found is not None
+    assert found[0] == "covered"
+
+
+def test_noise_is_no_grain() -> None:
+    def plain(seed: int) -> Image:
+        image = np.full((*SIZE[::-1], 3), 150.0)
+        for left in (40, 480):
+            cv2.rectangle(image, (left, 270), (left + 110, 350), (60, 55, 50), 6)
+        return np.clip(image + np.random.default_rng(seed).normal(0.0, 3.0, image.shape), 0, 255).astype(np.uint8)
+
+    scenery = Scenery(plain(1), still())
+    for seed in range(2, 22):
+        assert trouble(scenery.compare(plain(seed))) is None
