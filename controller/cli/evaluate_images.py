@@ -43,10 +43,7 @@ def evaluate_pictures(folder: Path, recipe: str, report: Path | None, as_json: b
     console.print(matrix)
     for picture in images_evaluation.worst(pictures):
         if picture.errors:
-            wrong = [f"{match.true.shape} taken for {match.found.shape}" for match in picture.wrong]
-            wrong += [f"{item.shape} missed" for item in picture.missed]
-            wrong += [f"{item.shape} made up" for item in picture.false]
-            console.print(f"{picture.name}: {'; '.join(wrong)}", soft_wrap=True)
+            console.print(f"{picture.name}: {images_evaluation.mistakes(picture)}", soft_wrap=True)
     if report is not None:
         console.print(f"Report: {report / 'images.html'}")
     return 0

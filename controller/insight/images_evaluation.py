@@ -10,6 +10,7 @@ import base64
 import html
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -278,14 +279,21 @@ def page(figures: Mapping[str, Any], pictures: Sequence[Picture]) -> str:
     lines.append(histogram(errors, "Centre against the annotation", "px"))
     lines.append("<h2>The worst pictures</h2><p>Red boxes: not found. Orange boxes: taken for something else.</p>")
     for picture in worst(pictures)[:MOST_PICTURES]:
-        wrong = [f"{m.true.shape} taken for {m.found.shape}" for m in picture.wrong]
-        missed = [f"{item.shape} missed{f' ({item.note})' if item.note else ''}" for item in picture.missed]
-        told = "; ".join([*wrong, *missed, *(f"{item.shape} made up" for item in picture.false)]) or "all right"
+        told = mistakes(picture) or "all right"
         data = base64.b64encode(_jpeg(marked(picture))).decode()
         name = html.escape(picture.name)
         lines.append(f"<figure><figcaption><b>{name}</b>: {html.escape(told)}</figcaption>")
         lines.append(f'<img alt="{name}" style="max-width:100%" src="data:image/jpeg;base64,{data}"></figure>')
     return "\n".join(lines) + "</html>\n"
+
+
+def mistakes(picture: Picture) -> str:
+    """What is wrong in a picture, most frequent first, e.g. `circle taken for other (3); square missed`."""
+    wrong = [f"{match.true.shape} taken for {match.found.shape}" for match in picture.wrong]
+    missed = [f"{item.shape} missed{f' ({item.note})' if item.note else ''}" for item in picture.missed]
+    made_up = [f"{item.shape} made up" for item in picture.false]
+    counted = Counter([*wrong, *missed, *made_up]).most_common()
+    return "; ".join(name if times == 1 else f"{name} ({times})" for name, times in counted)
 
 
 def worst(pictures: Sequence[Picture]) -> list[Picture]:

@@ -17,6 +17,7 @@ from controller.insight.images_evaluation import (
     annotated_pictures,
     compare,
     evaluate_images,
+    mistakes,
     overlap,
     page,
     summary,
@@ -37,6 +38,14 @@ def found(box: Box, shape: Shape = Shape.SQUARE, *flags: str) -> Detection:
     center, nothing = (x + w / 2, y + h / 2), Descriptors(1.0, 1.27, 0.0)
     frame = Frame(1, 0.0, IMAGE)
     return Detection(frame, shape, 1.0, corners, center, (w, h), 0.0, w * h, box, nothing, "", frozenset(flags))
+
+
+def test_mistakes_that_repeat_are_said_once() -> None:
+    objects = [marked((0, 0, 20, 20)), marked((40, 0, 20, 20)), marked((0, 60, 20, 20), Shape.CIRCLE)]
+    detections = (found((0, 0, 20, 20), Shape.OTHER), found((40, 0, 20, 20), Shape.OTHER))
+    told = mistakes(compare("a", IMAGE, objects, detections))
+    assert told == "square taken for other (2); circle missed"
+    assert mistakes(compare("a", IMAGE, objects[:1], (found((0, 0, 20, 20)),))) == ""
 
 
 def test_overlap() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +195,36 @@ def test_a_wrong_recipe_names_its_key(text: str, named: str, tmp_path: Path) -> 
     path.write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_recipe(str(path))
+
+
+EVERY_NUMBER = (
+    'name = "x"\nmethod = "precise"\n[precise]\nsmallest_px = 12.0\nlevel = 4.5\nminimum_contrast = 6.0\n'
+    "square_aspect = 1.1\nvisible = 0.8\nmisfit_px = 0.1\nmisfit_share = 0.005",
+    chain(
+        'op = "unsharp_mask"\nradius = 1.0\namount = 0.8', 'op = "median"\nsize = 3', 'op = "average"\nsize = 3',
+        'op = "gaussian"\nsigma = 1.0', 'op = "stretch"\nlow = 0.01\nhigh = 0.99',
+        'op = "homomorphic"\nsigma_share = 0.15\nlow_gain = 0.4\nhigh_gain = 1.2',
+        'op = "canny"\nsigma = 1.4\nlow = 0.1\nhigh = 0.2', 'op = "sobel"\nthreshold = 0.1',
+        'op = "zero_crossings"\nsigma = 2.0\nthreshold = 0.1', 'op = "frame_difference"\nthreshold = 12.0\nblock = 5',
+        'op = "template_match"\ntemplate = "a.png"\nscales = [0.5, 2.0]\nthreshold = 0.8',
+        'op = "area_open"\npixels = 100', 'op = "open_disk"\nradius = 3',
+    )
+    + "[ranges]\nfour_sided_extent = 1.13\ncircle_extent = 1.303\ncircle_compactness = 1.05\n"
+    "hexagon_extent = [1.303, 1.5]\nhexagon_compactness = [1.05, 1.19]\nsquare_difference = 0.1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("recipe", EVERY_NUMBER, ids=["precise", "stages"])
+def test_no_number_of_a_recipe_may_be_infinite_or_none(recipe: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(recipe)
+    load_recipe(str(path))
+    for number in re.finditer(r"(?m)^(\w+) = .*?(\b\d[\d.]*)|(?<=, )\d[\d.]*(?=\])", recipe):
+        first, last = number.span(2) if number.group(2) else number.span()
+        for bad in ("nan", "inf", "-inf"):
+            path.write_text(recipe[:first] + bad + recipe[last:])
+            with pytest.raises(ConfigError, match=number.group(1) or "hexagon|scales"):
+                load_recipe(str(path))
 
 
 def test_shipped_recipes_load() -> None:
