@@ -122,15 +122,7 @@ def torque(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array 
 
 
 def offset(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array | float = 0.0) -> Array:
-    """How far ahead of the wanted angles the goals must be: ndarray of shape (N, J), rad.
-
-    Args:
-        arm: The arm.
-        q: ndarray of shape (N, J), rad.
-        qd: ndarray of shape (N, J), rad/s.
-        qdd: ndarray of shape (N, J), rad/s^2.
-        payload: Mass at the grasp point, kg; scalar or ndarray of shape (N,).
-    """
+    """How far ahead of the wanted angles the goals must be: ndarray of shape (N, J), rad; arguments as of `torque`."""
     m = _model(arm)
     friction = m.friction * np.tanh(qd / FRICTION_SPEED)
     total = torque(arm, q, qd, qdd, payload) + m.inertia * qdd + m.damping * qd + friction

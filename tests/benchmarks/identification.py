@@ -1,7 +1,7 @@
 """Prints how well the arm follows its plans before and after identification, in physics whose arm is not as described.
 
 Link masses are off by up to 20 %, so are the servos' gains; link play and joint offsets are left out, for encoders
-cannot see them. Vertical strokes and picks at places that were not part of the identification.
+cannot see them. Vertical strokes and picks at places that were not part of the identification. Ends in verdicts.
 
 Run: python -m tests.benchmarks.identification [cells] [gain error] [mass error]
 """
@@ -33,6 +33,7 @@ from tests.unit.drivers.bench import WireTap
 from tests.unit.motion.scene import RX150
 
 CELL = load_cell(shipped("sim.toml"))
+STRAIGHT, TIP = 1.5, 1.0  # mm, what is wanted at most after identification
 GRASP, LIFT = 19.0, 60.0  # mm; the jaw tips end 4 mm above the table
 
 
@@ -129,8 +130,8 @@ def _note(bench: Bench, way: list[Array], cycle: ServoCycle) -> None:
     way.append(bench.tool())
 
 
-def main() -> None:
-    """Print the figures."""
+def main() -> int:
+    """Print the figures and verdicts; 1 when something wanted is missed."""
     cells = int(sys.argv[1]) if len(sys.argv) > 1 else 4
     gain, mass = (float(sys.argv[k]) if len(sys.argv) > k else 0.2 for k in (2, 3))
     figures: dict[str, list[Array]] = {"before": [], "after": []}
@@ -150,6 +151,15 @@ def main() -> None:
             print(f"  {name}: {_line(rows[-1])}")
     for name, rows in figures.items():
         print(f"all {name}: {_line(np.concatenate(rows))}")
+    before, after = (np.concatenate(figures[name]) for name in ("before", "after"))
+    good = []
+    for column, (what, wanted) in enumerate((("vertical off by", STRAIGHT), ("tip at the grasp off by", TIP))):
+        for name, share in (("median", 50), ("worst", 100)):
+            was, now = (float(np.percentile(rows[:, column], share)) for rows in (before, after))
+            good.append(now <= wanted)
+            verdict = "pass" if good[-1] else "FAIL"
+            print(f"{what}, {name}: {now:.2f} mm, before {was:.2f}, wanted {wanted:g}: {verdict}")
+    return 0 if all(good) else 1
 
 
 def _line(rows: Array) -> str:
@@ -161,4 +171,4 @@ def _line(rows: Array) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

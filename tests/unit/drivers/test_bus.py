@@ -1,6 +1,24 @@
 """The bus layer: nothing invented, nothing hidden, nothing waited for too long.
 
-Numbers in comments name the defect of the stock SDK that a test guards against.
+Numbers in comments name the defect of the stock SDK (dynamixel-sdk 4.1, Python) that a test guards against:
+
+| | the stock SDK | test |
+|---|---|---|
+| 1 | polls while it waits: hundreds of reads a transaction | `test_waiting_is_blocking_not_polling` |
+| 2 | sends a header among the values unstuffed | `test_a_header_among_the_values_reaches_the_servo` |
+| 3 | loses a byte when it takes stuffing out of an answer | `test_taking_stuffing_out_loses_nothing` |
+| 4 | takes checksum bytes for the value of an answer without data, or raises IndexError | \
+`test_an_error_without_data_is_no_value`, `test_what_the_stock_sdk_makes_of_an_error_without_data` |
+| 5 | drops the error bytes of group reads | `test_group_reads_keep_every_alert` |
+| 6 | fails a group for one missing servo, then reads 0 | `test_a_missing_servo_is_none_and_hides_no_other` |
+| 7 | returns after a bad packet while answers are still on the line | \
+`test_a_spoilt_answer_is_none_and_the_next_read_is_clean` |
+| 8 | ignores the inner checksums of fast reads | the same |
+| 9 | raises termios.error when unplugged, then stays busy | \
+`test_unplugged_is_a_bus_error_at_once_and_the_same_bus_reopens` |
+| 10 | answers threads "busy", or mixes their answers up | `test_threads_take_turns` |
+| 11 | raises ValueError on an alert (its easy layer) | `test_group_reads_keep_every_alert` |
+| 12 | gives up by the clock without a look at the line | `test_a_process_that_was_stopped_still_finds_the_answer` |
 """
 
 from __future__ import annotations
@@ -8,7 +26,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from controller.errors import BusError
@@ -62,6 +80,35 @@ def test_an_error_without_data_is_no_value() -> None:
         bus.read(1, *POSITION)
     assert caught.value.code == "refused"
     assert "access" in str(caught.value).lower() or "available" in str(caught.value)
+
+
+def test_what_the_stock_sdk_makes_of_an_error_without_data() -> None:
+    """(4) The defect itself, over our port: when an SDK is out that has it mended, this one fails."""
+    sdk = pytest.importorskip("dynamixel_sdk")
+    refused = status_packet(1, 0x07)
+    bus, line = _answering(refused, refused)
+    bus.close()
+    port, handler = SdkPort(line, line, 1_000_000), sdk.PacketHandler(2.0)
+    assert port.openPort()
+    assert handler.read1ByteTxRx(port, 1, 65) == (refused[-2], 0, 0x07)
+    with pytest.raises(IndexError):
+        handler.read4ByteTxRx(port, 1, *POSITION[:1])
+
+
+@given(st.lists(st.sampled_from([0xFF, 0xFF, 0xFD, 0x00]), min_size=4, max_size=12).map(bytes))
+@example(b"\xff\xff\xfd\x00\xff\xfd\xfd")
+def test_taking_stuffing_out_loses_nothing(data: bytes) -> None:
+    """(3) The SDK compares with bytes that it has moved already."""
+    bus, _ = _answering(status_packet(1, 0, data))
+    assert bus.read(1, 132, len(data)).data == data
+
+
+def test_the_stock_sdk_loses_a_byte_of_a_stuffed_answer() -> None:
+    """(3) The defect itself, which makes the example above one."""
+    handler = pytest.importorskip("dynamixel_sdk.protocol2_packet_handler").Protocol2PacketHandler()
+    packet = status_packet(1, 0, b"\xff\xff\xfd\x00\xff\xfd\xfd")
+    unstuffed = handler.removeStuffing(list(packet))
+    assert unstuffed[5] == 4 + 7 - 1  # the length field: instruction, error, checksum and the data, less one
 
 
 def test_a_refused_write_says_so_and_is_not_repeated() -> None:
