@@ -45,10 +45,11 @@ from controller.calibration.table import TableCalibration
 from controller.calibration.touch_map import touch_map
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig
-from controller.cycle.view import region_mask
+from controller.cycle.view import Backdrop, region_mask
 from controller.domain import Array, CellCalibration, LocatedObject, Shape
 from controller.errors import CalibrationMissing, SafetyStop
 from controller.localization.locate import locate
+from controller.motion.planner import Planner
 from controller.service.at_work import at_work, planner_in
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
@@ -163,7 +164,7 @@ def calibrate_arm_in(
             devices.lay_round_part()
             calibration = cell_calibration(lens, table, known)
             planner = planner_in(devices.arm, config, calibration, folder)
-            look = partial(_round_part, devices, config, calibration, load_recipe(config.vision.recipe))
+            look = partial(_round_part, devices, config, planner, load_recipe(config.vision.recipe))
             touches = push_part(devices.arm, devices.clock, planner, look, progress=progress)
             devices.clear_table()
             return touches
@@ -198,12 +199,15 @@ def calibrate_arm_in(
     return made
 
 
-def _lying(devices: Devices, config: CellConfig, calibration: CellCalibration, recipe: Recipe) -> list[LocatedObject]:
-    """What lies in the work area; the arm stands out of the view."""
+def _lying(devices: Devices, config: CellConfig, planner: Planner, recipe: Recipe) -> list[LocatedObject]:
+    """What lies in the work area, but for what runs into the bins or the arm: shadows of theirs."""
+    calibration = planner.calibration
     frame = devices.camera.capture(devices.clock.now(), config.camera.frame_timeout_s)
     devices.clock.charge(config.cycle.vision_budget_s)
     region = region_mask(config, calibration, frame.size)
-    found = detect(frame, recipe, plane=calibration.plane(config.shape_plane_mm), region=region).detections
+    hidden = Backdrop(config, calibration, frame.size).mask(planner.hidden(devices.arm.state().positions))
+    plane = calibration.plane(config.shape_plane_mm)
+    found = detect(frame, recipe, plane=plane, region=region, hidden=hidden).detections
     located = locate(found, calibration, config.part_height)
     return [
         thing
@@ -212,11 +216,9 @@ def _lying(devices: Devices, config: CellConfig, calibration: CellCalibration, r
     ]
 
 
-def _round_part(
-    devices: Devices, config: CellConfig, calibration: CellCalibration, recipe: Recipe
-) -> LocatedObject | None:
+def _round_part(devices: Devices, config: CellConfig, planner: Planner, recipe: Recipe) -> LocatedObject | None:
     """The only round part in the work area, if one and nothing else lies there."""
-    things = _lying(devices, config, calibration, recipe)
+    things = _lying(devices, config, planner, recipe)
     return things[0] if len(things) == 1 and things[0].shape is Shape.CIRCLE else None
 
 
@@ -261,7 +263,8 @@ def check_cell(
     stored.check(arm=devices.arm.description.name, devices=device_names(devices, config))
     if stored.arm is None or not stored.arm.points:
         raise CalibrationMissing("the arm was placed by ruler only", "run `controller calibrate arm` first")
-    left = _lying(devices, config, stored.cell(), load_recipe(config.vision.recipe))
+    planner = planner_in(devices.arm, config, stored.cell(), folder)
+    left = _lying(devices, config, planner, load_recipe(config.vision.recipe))
     if left:
         x, y = left[0].center
         raise SafetyStop(

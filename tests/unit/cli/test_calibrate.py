@@ -56,7 +56,7 @@ def test_a_lens_is_calibrated_and_its_coverage_drawn(
     reasons = {Path(item["image"]).name: item["reason"] for item in found["views_rejected"]}
     assert "200x200" in reasons["other.png"]
     assert "seen" in reasons["empty.png"]
-    assert "broken.png" in reasons["broken.png"]
+    assert "decoded" in reasons["broken.png"]
     assert "broken.png" in warned
     written = json.loads(out.read_text())
     assert written["calibration_id"] == found["calibration_id"]
