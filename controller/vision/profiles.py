@@ -84,7 +84,7 @@ def sample(
     places += base.T.astype(np.float32)[..., None]
     raw = bilinear(image, places[0], places[1]).reshape(len(chunk), -1)
     scale = 1.0 / lines[:, None]
-    values = np.add.reduceat(raw, first, axis=0, dtype=np.float32)
+    values = _sums(raw, first, lines)
     values *= scale.astype(np.float32)
     middle = np.add.reduceat(base, first, axis=0) * scale
     x, y = middle[:, :1] + apart[0], middle[:, 1:] + apart[1]
@@ -99,6 +99,23 @@ def sample(
         np.clip(length, 1.0, 1.5 * _MOST_LINES).reshape(count, chunks),
         inside.reshape(shape),
     )
+
+
+def _sums(raw: NDArray[np.uint8], first: NDArray[np.intp], lines: NDArray[np.intp]) -> Floats32:
+    """Sums (M, W) of so many rows of `raw` (L, W) from each first one on.
+
+    All first rows at once, then all second ones: as the rows are short and the sums many, this takes a third of what
+    `np.add.reduceat` does.
+    """
+    order = np.argsort(-lines, kind="stable")
+    start, ordered = first[order], lines[order]
+    sums = raw[start].astype(np.float32)
+    longer = np.searchsorted(-ordered, -np.arange(1, ordered[0]), side="left")
+    for row, count in enumerate(longer.tolist(), start=1):
+        sums[:count] += raw[start[:count] + row]
+    out = np.empty_like(sums)
+    out[order] = sums
+    return out
 
 
 def bilinear(image: NDArray[Pixel], x: Floats32, y: Floats32) -> NDArray[Pixel]:

@@ -38,15 +38,15 @@ def feet(tops: Sequence[Floats], plane: PlaneMap, height: float) -> list[Floats]
     return np.split(foot(np.concatenate(tops), plane, height), ends)
 
 
-def _hull(top: Floats, below: Floats) -> Floats:
-    """Hull (M, 2), px, of a top face and its foot."""
-    return np.asarray(cv2.convexHull(np.concatenate([top, below]).astype(np.float32))[:, 0], np.float64)
+def _hulls(tops: Sequence[Floats], below: Sequence[Floats]) -> list[Floats]:
+    """Hulls (M, 2), px, of each top face and its foot."""
+    both = (np.concatenate(pair).astype(np.float32) for pair in zip(tops, below, strict=True))
+    return [np.asarray(cv2.convexHull(points)[:, 0], np.float64) for points in both]
 
 
 def reaches(tops: Sequence[Floats], plane: PlaneMap) -> list[Floats]:
     """Hulls of everything that can be seen of parts with these top faces, were they as tall as parts get."""
-    below = feet(tops, plane, 2.0 * plane.height * _TALLEST)
-    return [_hull(top, low) for top, low in zip(tops, below, strict=True)]
+    return _hulls(tops, feet(tops, plane, 2.0 * plane.height * _TALLEST))
 
 
 def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: PlaneMap) -> list[Floats]:
@@ -58,15 +58,23 @@ def measure(image: NDArray[np.uint8], noise: Floats, tops: list[Floats], plane: 
     if not tops:
         return []
     typical = 2.0 * plane.height
-    below = feet(tops, plane, typical)
+    points = np.concatenate(tops)
+    counts = [len(top) for top in tops]
+    # The ray through a point of the picture is straight: it crosses heights between these in proportion.
+    ground, lifted = plane.at(0.0).to_plane(points), plane.at(typical).to_plane(points)
+
+    def below_at(heights: Floats) -> list[Floats]:
+        places = ground + (lifted - ground) * np.repeat(heights / typical, counts)[:, None]
+        return np.split(plane.at(0.0).to_pixels(places), np.cumsum(counts)[:-1])
+
+    usual = np.full(len(tops), typical)
+    below = below_at(usual)
     shifts = np.array([np.linalg.norm((low - top).mean(axis=0)) for top, low in zip(tops, below, strict=True)])
-    middle, normal, length = _chunks([_hull(top, low) for top, low in zip(tops, below, strict=True)])
+    middle, normal, length = _chunks(_hulls(tops, below))
     stray, found = _edges(image, noise, middle, normal, length, np.clip(0.45 * shifts, 3.0, 12.0))
-    taller = [_hull(top, low) for top, low in zip(tops, feet(tops, plane, 1.1 * typical), strict=True)]
-    heights = _follow(np.full(len(tops), typical), middle, normal, stray, found, taller)
-    middle, normal, length = _chunks(
-        [_hull(top, foot(top, plane, height)) for top, height in zip(tops, heights, strict=True)]
-    )
+    taller = _hulls(tops, below_at(1.1 * usual))
+    heights = _follow(usual, middle, normal, stray, found, taller)
+    middle, normal, length = _chunks(_hulls(tops, below_at(heights)))
     stray, found = _edges(image, noise, middle, normal, length, np.full(len(tops), 3.0))
     out = []
     for k in range(len(tops)):
@@ -80,19 +88,25 @@ def _chunks(hulls: list[Floats]) -> tuple[Floats, Floats, Floats]:
     middles, normals = np.empty((len(hulls), POINTS, 2)), np.empty((len(hulls), POINTS, 2))
     lengths = np.empty((len(hulls), POINTS))
     for k, hull in enumerate(hulls):
-        side = np.roll(hull, -1, axis=0) - hull
-        length = np.maximum(np.linalg.norm(side, axis=1), 1e-9)
+        side, length, n = _sides(hull)
         ends = np.cumsum(length)
         at = (np.arange(POINTS) + 0.5) / POINTS * ends[-1]
-        which = np.searchsorted(ends, at).clip(0, len(hull) - 1)
+        which = np.minimum(np.searchsorted(ends, at), len(hull) - 1)
         part = (at - (ends[which] - length[which])) / length[which]
         middles[k] = hull[which] + side[which] * part[:, None]
-        n = np.stack([side[:, 1], -side[:, 0]], axis=1) / length[:, None]
-        if np.sum((hull - hull.mean(axis=0)) * n) < 0.0:
-            n = -n
         normals[k] = n[which]
         lengths[k] = ends[-1] / POINTS
     return middles, normals, lengths
+
+
+def _sides(hull: Floats) -> tuple[Floats, Floats, Floats]:
+    """Sides (M, 2) of a convex hull, their lengths (M,) and outward normals (M, 2)."""
+    side = np.concatenate([hull[1:], hull[:1]]) - hull
+    length = np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-9)
+    normal = side[:, ::-1] * (1.0, -1.0) / length[:, None]
+    if np.sum((hull - hull.mean(axis=0)) * normal) < 0.0:
+        normal = -normal
+    return side, length, normal
 
 
 def _edges(
@@ -101,14 +115,15 @@ def _edges(
     """How far outwards the outermost clear edge lies from each point, px, and whether there is one."""
     along = np.stack([-normal[..., 1], normal[..., 0]], axis=-1) * (0.5 * length[..., None])
     profiles = sample(image, middle - along, middle + along, normal, window + 1.0, _COLUMNS)
-    whitener = np.linalg.inv(np.linalg.cholesky(noise))
+    whitener = np.linalg.inv(np.linalg.cholesky(noise)).astype(np.float32)
     values = profiles.values @ whitener.T
     spacing = 2.0 * (window + 1.0) / (_COLUMNS - 1)
     gap = max(1, round(0.7 / float(np.median(spacing))))
     slope = values[:, :, 2 * gap :] - values[:, :, : -2 * gap]
-    strength = np.linalg.norm(slope, axis=3)
+    own = np.sqrt(np.vecdot(slope, slope))
     # A chunk's neighbours look at the same edge.
-    strength = 0.5 * strength + 0.25 * (np.roll(strength, 1, axis=1) + np.roll(strength, -1, axis=1))
+    around = np.concatenate([own[:, -1:], own, own[:, :1]], axis=1)
+    strength = 0.5 * own + 0.25 * (around[:, :-2] + around[:, 2:])
     columns = strength.shape[2]
     top = strength.max(axis=2, keepdims=True)
     peak = np.zeros_like(strength, bool)
@@ -132,10 +147,9 @@ def _follow(
     """Heights after the edges of the foot: a taller part's outline lies further out on the foot's side only."""
     out = heights.copy()
     for k, hull in enumerate(taller):
-        polygon = hull.astype(np.float32)
         # Distance inside the taller outline: how far a tenth more height moves this point.
-        depth = [cv2.pointPolygonTest(polygon, (float(x), float(y)), True) for x, y in middle[k]]
-        rate = np.maximum(np.array(depth), 0.0)
+        outwards = _sides(hull)[2]
+        rate = np.maximum(((hull * outwards).sum(axis=1) - middle[k] @ outwards.T).min(axis=1), 0.0)
         use = found[k] & (rate > 0.3 * max(float(rate.max()), 1e-9)) & (rate > 0.15)
         if use.sum() < 4:
             continue
