@@ -78,7 +78,7 @@ def _overfilled(bin_: Bin, tall: float, planner: Planner) -> list[str]:
             f"slide over its walls of {bin_.height:g} mm, which hold {fits}"
         )
     for count in range(1, bin_.capacity):
-        if any(planner.bin_error(bin_, point, pile_of(count)) for point in drop_points(bin_)):
+        if any(planner.bin_error(bin_, point, pile_of(bin_, count)) for point in drop_points(bin_)):
             found.append(
                 f"bin {bin_.name}: over {count} parts the arm can let go no further one, the capacity is "
                 f"{bin_.capacity}"

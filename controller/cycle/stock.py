@@ -25,9 +25,17 @@ def drop_points(bin_: Bin) -> tuple[Point, Point, Point, Point]:
     return (x - dx, y - dy), (x + dx, y + dy), (x + dx, y - dy), (x - dx, y + dy)
 
 
-def pile_of(count: int, longest: float = 0.0) -> float:
-    """Height over the table that so many parts in a bin may reach, mm; `longest` is the longest side of any, mm."""
-    return 0.0 if count == 0 else max(longest, ASKEW_MM) + LAYER_MM * (count - 1)
+def pile_of(bin_: Bin, count: int, longest: float = 0.0) -> float:
+    """Height over the table that so many parts in a bin may reach, mm.
+
+    Never less than the walls: what leans on one stands up to its diagonal, and jaws that open among parts push them.
+
+    Args:
+        bin_: The bin.
+        count: Parts in it.
+        longest: Longest side of any of them, mm.
+    """
+    return 0.0 if count == 0 else max(bin_.height, max(longest, ASKEW_MM) + LAYER_MM * (count - 1))
 
 
 class Stock:
@@ -63,7 +71,7 @@ class Stock:
 
     def pile(self, bin_: Bin) -> float:
         """Height over the table that what lies in a bin already may reach, mm."""
-        return pile_of(self._filled[bin_.name], self._longest.get(bin_.name, 0.0))
+        return pile_of(bin_, self._filled[bin_.name], self._longest.get(bin_.name, 0.0))
 
     def placed(self, bin_: Bin, thing: LocatedObject) -> None:
         """One more part lies in a bin."""

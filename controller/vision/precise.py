@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from controller.geometry import PlaneMap
 from controller.vision.background import Box, whiten
 from controller.vision.clear import clear_objects
+from controller.vision.leftover import leftovers
 from controller.vision.local_map import local_maps
 from controller.vision.noise import pixel_noise, without_spikes
 from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
@@ -95,7 +96,11 @@ def _search(
         regions = _whole(regions, visible)
     watch.lap("propose")
     scene, rest = open_objects(scene, regions, clear, smallest, watch)
-    return judge(scene, [*clear, *rest], watch)
+    found = judge(scene, [*clear, *rest], watch)
+    if scene.sides and settings.others:
+        found += leftovers(strength, found, factor, mask, settings.smallest_px / factor)
+        watch.lap("others")
+    return found
 
 
 def reduction(shape: tuple[int, ...]) -> int:

@@ -38,10 +38,10 @@ def test_the_shipped_cells_have_nothing_odd() -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"wall_mm": 35.0}, "may lie 64 mm high and slide over its walls of 35 mm, which hold 4"),
-        ({"wall_mm": 35.0, "capacity": 4}, ""),
-        ({"wall_mm": 300.0, "capacity": 7}, ""),
-        ({"wall_mm": 300.0, "capacity": 8}, "over 7 parts the arm can let go no further one, the capacity is 8"),
+        ({"wall_mm": 35.0}, "may lie 52 mm high and slide over its walls of 35 mm, which hold 5"),
+        ({"wall_mm": 35.0, "capacity": 5}, ""),
+        ({"wall_mm": 80.0, "capacity": 7}, ""),
+        ({"wall_mm": 80.0, "capacity": 8}, "over 7 parts the arm can let go no further one, the capacity is 8"),
     ],
 )
 def test_a_bin_that_cannot_take_its_capacity_is_named(changed: dict[str, Any], said: str) -> None:

@@ -1,0 +1,69 @@
+"""What no outline explains though it stands out as clearly as they do: a part on its side upon others has no outline
+that any family fits, but arms must not run into it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.domain import Shape
+from controller.vision.scene import Found
+
+SCORE = 0.25
+"""Of what has no outline of its own: too little to be picked."""
+
+_AS_STRONG = 0.75
+"""Share of the known objects' median difference from the table that a leftover has at least: a shadow has less."""
+
+_BLUR = 2.0
+"""Beyond an outline by this much, px of the searched image, its object may still show."""
+
+
+def leftovers(
+    strength: NDArray[np.float32], found: Sequence[Found], factor: int, region: NDArray[np.uint8] | None, narrow: float
+) -> list[Found]:
+    """Patches beside the known objects that differ from the table as they do, as objects of no known shape.
+
+    Args:
+        strength: ndarray of shape (H, W) of the searched image: how far the picture differs from the table.
+        found: The known objects.
+        factor: How many times smaller the searched image is.
+        region: ndarray of shape (H, W), dtype uint8: only where it is not 0; everywhere when None.
+        narrow: Width of the narrowest patch that counts, px of the searched image.
+    """
+    if not found:
+        return []
+    faces, covered = np.zeros(strength.shape, np.uint8), np.zeros(strength.shape, np.uint8)
+    for item in found:
+        cv2.fillPoly(faces, [_reduced(item.face, factor)], (255,))
+        cv2.fillPoly(covered, [_reduced(item.outline, factor)], (255,))
+    inside = strength[faces > 0]
+    if not len(inside):
+        return []
+    level = _AS_STRONG * float(np.median(inside))
+    rest = np.asarray(cv2.compare(strength, level, cv2.CMP_GT), np.uint8)
+    rest[cv2.dilate(covered, _disc(_BLUR)) > 0] = 0
+    if region is not None:
+        rest[region == 0] = 0
+    rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, _disc(narrow / 2.0)), np.uint8)
+    contours, _ = cv2.findContours(rest, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    out = []
+    for contour in contours:
+        hull = cv2.convexHull(contour)[:, 0].astype(np.float64)
+        outline = hull * factor + (factor - 1) / 2.0
+        center = outline.mean(axis=0)
+        out.append(Found(Shape.OTHER, SCORE, outline, outline, center, None, frozenset({"touching"})))
+    return out
+
+
+def _reduced(outline: NDArray[np.float64], factor: int) -> NDArray[np.int32]:
+    return np.rint((outline - (factor - 1) / 2.0) / factor).astype(np.int32)
+
+
+def _disc(radius: float) -> NDArray[np.uint8]:
+    size = 2 * round(radius) + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
