@@ -13,7 +13,7 @@ from tests.unit.cycle.bench import part
 def test_jaws_stay_above_a_part_that_stands_on_end() -> None:
     config = load_cell(shipped("sim.toml"))
     stock = Stock(config, Counter())
-    bin_, other = config.bin_values()[:2]
+    bin_ = config.bin_values()[0]
     assert stock.pile(bin_) == 0.0
     stock.placed(bin_, part(0.0, 0.0, size=60.0))
     stock.placed(bin_, part(0.0, 0.0, size=40.0))
