@@ -45,7 +45,7 @@ def leftovers(
     if not len(inside):
         return []
     level = _AS_STRONG * float(np.median(inside))
-    rest = np.asarray(cv2.compare(strength, level, cv2.CMP_GT), np.uint8)
+    rest = np.where(strength > level, 255, 0).astype(np.uint8)
     rest[cv2.dilate(covered, _disc(_BLUR)) > 0] = 0
     if region is not None:
         rest[region == 0] = 0

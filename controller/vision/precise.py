@@ -98,7 +98,8 @@ def _search(
     scene, rest = open_objects(scene, regions, clear, smallest, watch)
     found = judge(scene, [*clear, *rest], watch)
     if scene.sides and settings.others:
-        found += leftovers(strength, found, factor, mask, settings.smallest_px / factor)
+        there = None if mask is None else np.asarray(mask, np.uint8)
+        found += leftovers(strength, found, factor, there, settings.smallest_px / factor)
         watch.lap("others")
     return found
 
