@@ -23,7 +23,7 @@ Contour = MatLike
 Unknown = Callable[[Sequence[Contour]], list[Contour]]
 """Of contours, shape (N, 1, 2), those that show nothing known already."""
 
-
+_QUARTER_TURN = np.array([1.0, -1.0], np.float32)
 _SHORT = 8
 """Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
@@ -145,8 +145,10 @@ def chroma(white: Whitened, strength: Floats32) -> Floats32:
     shade = white.whitener @ white.table_colour
     shade /= max(float(np.linalg.norm(shade)), 1e-9)
     along = cv2.transform(white.difference, shade[None].astype(np.float32))
-    across = cv2.subtract(cv2.multiply(strength, strength), cv2.multiply(along, along))
-    return np.asarray(cv2.sqrt(np.maximum(across, 0.0)), np.float32)
+    across = cv2.multiply(strength, strength)
+    cv2.subtract(across, cv2.multiply(along, along, dst=along), dst=across)
+    cv2.threshold(across, 0.0, 0.0, cv2.THRESH_TOZERO, dst=across)
+    return np.asarray(cv2.sqrt(across, dst=across), np.float32)
 
 
 def edge_energy(difference: Floats32) -> Floats32:
@@ -224,12 +226,12 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     """A convex polygon (N, 2) with its sides moved outwards."""
     if len(hull) < 3:
         return hull
-    side = np.roll(hull, -1, axis=0) - hull
-    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.maximum(np.linalg.norm(side, axis=1), 1e-6)[:, None]
+    side = np.concatenate([hull[1:], hull[:1]]) - hull
+    normal = side[:, ::-1] * _QUARTER_TURN / np.maximum(np.hypot(side[:, 0], side[:, 1]), 1e-6)[:, None]
     if np.sum((hull - hull.mean(axis=0)) * normal) < 0.0:
         normal = -normal
-    both = normal + np.roll(normal, 1, axis=0)
-    length = np.maximum(np.sum(both * both, axis=1, keepdims=True) / 2.0, 0.3)
+    both = normal + np.concatenate([normal[-1:], normal[:-1]])
+    length = np.maximum(np.vecdot(both, both) / 2.0, 0.3)[:, None]
     return np.asarray(hull + by * both / length, np.float32)
 
 
