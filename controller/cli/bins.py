@@ -63,8 +63,9 @@ def set_(
 ) -> None:
     """Teach where a bin stands: below the jaws as they were jogged there, or at a measured place. Moves nothing.
 
-    Examples: controller bins set squares --config cell.toml | controller bins set squares --at -190 226 --config
-    cell.toml
+    Examples: controller bins set squares --config cell.toml | controller bins set squares --at -190 226
+
+    To teach one: controller jog, open jaws over the bin's middle, q; then this command.
 
     The configuration is not rewritten: taught bins are kept in bins.toml in the state folder.
     """

@@ -71,11 +71,15 @@ def jog(
 
     Examples: controller jog --sim | printf 'x+ 10\nj1- 2\nq\n' | controller jog --sim --json
 
-    A dead-man watches the terminal: it is asked every 50 ms whether it is there, and when no answer and no key has come
-    for 200 ms (a frozen window or connection) the arm stops along its path. Lines of a pipe need nobody there.
+    The keys are listed when it begins.
 
-    At the end the arm holds where it is, so that `controller bins set NAME` can take the place; `controller home
-    --park` brings it to rest.
+    A dead-man watches the terminal: it is asked every 50 ms whether it is there.
+    When neither answer nor key comes for 200 ms (a frozen window or connection) the arm
+    stops along its path. tmux and screen answer in the terminal's place, and who uses a
+    terminal that answers nothing is told so. Lines of a pipe need nobody to be there.
+
+    At the end the arm holds where it is, so that `controller bins set NAME` can take the
+    place; `controller home --park` brings it to rest.
     """
     options = manual_options(config, sim, seed, level, calibration, bins)
     keys = Keys(options.say) if sys.stdin.isatty() else None

@@ -22,15 +22,17 @@ class Progress(Observer):
 
     Args:
         console: On stderr.
+        rehearsal: Nothing is picked: outcomes are told as what they would be.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, *, rehearsal: bool = False) -> None:
         self._console = console
         self._status = Status("starting", console=console) if console.is_terminal else None
         self._state = State.STOPPED
         self._seen = 0
         self._began: float | None = None
         self._count: Counter[Result] = Counter()
+        self._as_if = "as if " if rehearsal else ""
 
     def __enter__(self) -> Progress:
         """Show the live line."""
@@ -72,7 +74,7 @@ class Progress(Observer):
         what = target.detection.label or str(target.shape)
         where = f"{target.center[0]:6.1f} {target.center[1]:7.1f} mm"
         at = outcome.finished_at - (self._began or 0.0)
-        self.say(f"{at:7.1f} s  {what:<10} {where}  {outcome.result}: {outcome.reason}")
+        self.say(f"{at:7.1f} s  {what:<10} {where}  {self._as_if}{outcome.result}: {outcome.reason}")
 
     def held(self, cause: SorterError, at: float) -> None:
         """Say what the cell holds for."""

@@ -99,7 +99,8 @@ def run(
     # The journal gets records with fields; a person gets the progress, and log lines only for what is beside it.
     structured = goes_to_journal()
     cycle_log = CycleLog(aloud=structured)
-    progress = Progress(Console(quiet=True) if structured else stderr())
+    rehearsed = rehearsal is not Rehearsal.NONE
+    progress = Progress(Console(quiet=True) if structured else stderr(), rehearsal=rehearsed)
     say = _log.info if structured else progress.say
     film = Film(video) if video is not None else None
     session = Session(
@@ -118,7 +119,7 @@ def run(
             rehearsal=rehearsal,
             faults=faults,
             disturb=disturb,
-            observers=(cycle_log, progress, *([_Intentions(say)] if dry_run else [])),
+            observers=(cycle_log, progress, *([_Intentions(say)] if rehearsed else [])),
             watch=film.watch if film is not None else lambda devices: (),
             confirm=_ask if step else lambda plan: True,
             say=say,

@@ -44,7 +44,7 @@ def check(config: CellConfig, arm: ArmDescription, planner: Planner) -> list[str
             raise ConfigError(
                 f"bins[{index}] ({bin_.name}) at {bin_.center[0]:.0f}, {bin_.center[1]:.0f} mm cannot be reached by "
                 f"{arm.title}: {error}",
-                "move it closer or lower its walls",
+                "move it, or lower its walls",
             )
     warnings: list[str] = []
     for section, bin_ in zip(config.bins, config.bin_values(), strict=True):

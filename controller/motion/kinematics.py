@@ -20,6 +20,8 @@ from controller.errors import Unreachable
 
 TOP_DOWN = math.pi / 2
 BRANCHES = 4
+_BEHIND = 179.5
+"""deg of the waist: a gap narrower than this beside half a turn looks like none to who builds a cell."""
 _JOINTS_WITH_ROLL = 5
 
 
@@ -222,6 +224,12 @@ def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, r
     joint = int(np.argmax(np.maximum(worst - c.high, c.low - worst)))
     low, high = (math.degrees(v) for v in arm.joints[joint].limits)
     needed = math.degrees(worst[joint])
+    if joint == 0 and abs(needed) > _BEHIND:
+        raise Unreachable(
+            f"{place} lies straight behind the arm, where its {arm.joints[0].name}'s turn ends "
+            f"({needed:.2f} deg, allowed {low:.2f}..{high:.2f}); a few mm to one side it is within",
+            "move it to one side",
+        )
     raise Unreachable(
         f"{place} needs {arm.joints[joint].name} at {needed:.2f} deg, allowed {low:.2f}..{high:.2f}",
         "move the part",

@@ -90,6 +90,9 @@ def test_four_joints_close_only_across_the_arm() -> None:
 def test_out_of_reach_says_so() -> None:
     with pytest.raises(Unreachable, match="too far"):
         kinematics.inverse(RX150, (500.0, 0.0, 20.0))
+    with pytest.raises(Unreachable, match=r"straight behind the arm.* to one side"):
+        kinematics.inverse(RX150, (-170.0, 0.0, 85.0))
+    kinematics.inverse(RX150, (-170.0, 3.0, 85.0))
     with pytest.raises(Unreachable, match=r"needs \w+ at -?\d+\.\d\d deg, allowed"):
         kinematics.inverse(RX150, (100.0, 0.0, 100.0), pitch=0.5)
 
