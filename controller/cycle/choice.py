@@ -72,7 +72,7 @@ class Chooser:
         self.queue = list(self._looked_at)
 
     def anew(self) -> None:
-        """All candidates of the look again: the arm stands elsewhere now."""
+        """All candidates of the look again that were not chosen yet: the arm stands elsewhere now."""
         self.queue = list(self._looked_at)
 
     def next(
@@ -111,6 +111,7 @@ class Chooser:
             target = self._book.choose(thing, self._rig.clock.now())
             target.plan = plan
             self._others = others
+            self._looked_at = [other for other in self._looked_at if other is not thing]
             return target, plan
         return None
 

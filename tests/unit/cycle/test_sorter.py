@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from controller.config.cell import CellConfig
 from controller.cycle.machine import State
 from controller.domain import LocatedObject, PickPlan, Result, Shape
 from controller.errors import (
@@ -301,6 +302,17 @@ def test_a_part_that_sticks_is_a_fault_where_nobody_helps(monkeypatch: pytest.Mo
     assert bench.commands[-1] == "grip"
     assert bench.results == [Result.INDETERMINATE]
     assert 60.0 < bench.clock.now() < 90.0
+
+
+def test_a_part_taken_is_not_taken_again_for_one_of_the_same_look_that_cannot_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, part(0, 0), part(400, 0))
+    bench.change("cycle", picks_per_look=10)
+    monkeypatch.setattr(CellConfig, "in_work_area", lambda *_: True)
+    bench.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.commands.count("carry") == 1
 
 
 @pytest.mark.parametrize("name", ["home", "approach", "grip", "carry"])
