@@ -16,6 +16,14 @@ Image = NDArray[np.uint8]
 _ROWS, _COLUMNS = 32, 80
 """Where the noise is looked at: about so many places tell a standard deviation to 2 %."""
 
+_BLOCK, _SMALL_STEP = 8, 8
+"""Side of a compressed picture's blocks, px, and what counts of a step between neighbours, levels: no more than a
+block's, for objects have larger ones."""
+_BLOCKY = 1.5
+"""Where blocks meet, steps are so many times as large as elsewhere at JPEG quality 85 and below; 1.04 without blocks."""
+_BLOCK_STEP = 11.0
+"""Blocks of colour beside strong edges were off by up to 10.9 levels at JPEG quality 50, over 10 noisy scenes."""
+
 
 def pixel_noise(image: Image) -> Floats:
     """Covariance (3, 3) of the pixel noise, from differences of neighbours on a sample of rows."""
@@ -35,6 +43,17 @@ def pixel_noise(image: Image) -> Floats:
     covariance = kept @ kept.T / (6.0 * max(kept.shape[1], 1))
     # Rounding alone has a variance of 1/12; compression hides noise in flat blocks.
     return np.asarray(covariance + np.eye(3) * 0.3)
+
+
+def least_step(image: Image) -> float:
+    """The least step that a picture's own blocks do not make, levels; 0 unless it was compressed strongly."""
+    rows = image[:: max(1, image.shape[0] // 64), :, 1].astype(np.int16)
+    steps = np.minimum(np.abs(np.diff(rows, axis=1)), _SMALL_STEP)
+    count = steps.shape[1] // _BLOCK
+    if count < 8:
+        return 0.0
+    at = steps[:, : count * _BLOCK].reshape(-1, _BLOCK).mean(axis=0)
+    return _BLOCK_STEP if float(at.max()) > _BLOCKY * max(float(np.median(at)), 1e-9) else 0.0
 
 
 def without_spikes(image: Image, noise: Floats) -> Image:

@@ -13,7 +13,7 @@ from controller.vision.background import Box, whiten
 from controller.vision.clear import clear_objects
 from controller.vision.leftover import leftovers
 from controller.vision.local_map import local_maps
-from controller.vision.noise import pixel_noise, without_spikes
+from controller.vision.noise import least_step, pixel_noise, without_spikes
 from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
@@ -77,6 +77,8 @@ def _search(
         visible = np.asarray(cv2.threshold(covered, 0.0, 255.0, cv2.THRESH_BINARY_INV)[1], np.uint8)
         strength = np.asarray(cv2.copyTo(strength, visible), np.float32)
     noise = pixel_noise(image)
+    least = max(settings.minimum_contrast, least_step(image))
+    settings = settings.model_copy(update={"minimum_contrast": least})
     image = without_spikes(image, noise)
     scene = Scene(image, noise, white, factor, local_maps(np.empty((0, 2)), np.empty(0), plane), [], plane, settings)
     watch.lap("noise")

@@ -59,7 +59,7 @@ def open_objects(
         return scene, []
     shape = scene.white.difference.shape
     share = _COPY if scene.sides else 3.0 * _COPY
-    regions = _distinct(regions, shape, _COPY)
+    regions = _distinct(_stepped(scene, regions), shape, _COPY)
     # First what stands out clearly; the costlier guesses only where that left something open.
     plain = [
         (item.core and (scene.sides or item.cue == "level")) or (scene.sides and item.cue == "zone")
@@ -75,7 +75,7 @@ def open_objects(
         item for item in first if item.cue != "zone" and (item.convex < _NECKED or not done.explains(item.contour))
     ]
     rest = [item for item in later if not done.explains(item.contour)]
-    pieces = [piece for item in open_ for piece in split_necks(item, smallest)]
+    pieces = _stepped(scene, [piece for item in open_ for piece in split_necks(item, smallest)])
     pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
     certain = [item for item in judged if whole(item)]
     scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), certain, watch)
@@ -102,17 +102,14 @@ def _fits(
 ) -> tuple[list[Region], LocalMaps, list[list[Hypothesis]]]:
     """The regions that can be measured, their local coordinates, and the fits around each."""
     white, factor, plane = scene.white, scene.factor, scene.plane
-    clear = _steps(white, regions) > _FAINT * scene.settings.minimum_contrast
-    regions = [item for item, use in zip(regions, clear.tolist(), strict=True) if use]
-    if regions:
-        centers = np.array([_center(item.contour) for item in regions])
-        radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
-        usable = np.asarray(np.isfinite(radii).all(axis=1))
-        if plane is not None:
-            # Beyond the horizon of the plane there is nothing to measure.
-            usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
-        regions = [item for item, use in zip(regions, usable, strict=True) if use]
-        centers, radii = centers[usable], radii[usable]
+    centers = np.array([_center(item.contour) for item in regions])
+    radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+    usable = np.asarray(np.isfinite(radii).all(axis=1))
+    if plane is not None:
+        # Beyond the horizon of the plane there is nothing to measure.
+        usable &= np.isfinite(plane.to_plane(centers * factor + (factor - 1) / 2.0)).all(axis=1)
+    regions = [item for item, use in zip(regions, usable, strict=True) if use]
+    centers, radii = centers[usable], radii[usable]
     if not regions:
         return [], local_maps(np.empty((0, 2)), np.empty(0), plane), []
     edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
@@ -126,6 +123,14 @@ def _fits(
     fits = fit_all(around, edges_of(local, weight), factor)
     watch.lap("fit")
     return regions, maps, fits
+
+
+def _stepped(scene: Scene, regions: list[Region]) -> list[Region]:
+    """Those with some contrast at their boundaries."""
+    if not regions:
+        return []
+    clear = _steps(scene.white, regions) > _FAINT * scene.settings.minimum_contrast
+    return [item for item, use in zip(regions, clear.tolist(), strict=True) if use]
 
 
 def _steps(white: Whitened, regions: Sequence[Region]) -> Floats:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from controller.domain import Detection, Shape
 from controller.geometry import CameraModel, PlaneMap, angle_difference, pose, pose_from_rvec
 from controller.vision.detect import detect
+from controller.vision.noise import least_step
 from controller.vision.rays import RAYS, find_edges
 from controller.vision.recipe import load_recipe
 from tests.unit.vision.pictures import at, corners, frame, paint
@@ -111,6 +112,25 @@ def test_compression_is_no_part() -> None:
     _, data = cv2.imencode(".jpg", paint(things, noise=3.0), [cv2.IMWRITE_JPEG_QUALITY, 50])
     picture = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
     assert sorted(d.shape for d in found(picture)) == [Shape.CIRCLE, Shape.SQUARE]
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_colours_blocks_in_noise_are_no_parts(seed: int) -> None:
+    # Compression takes the noise out of the colours and leaves blocks of a few levels beside strong edges.
+    named = {
+        Shape.RECTANGLE: (80, 70, (110.0, 95.0, 90.0)), Shape.HEXAGON: (200, 80, (60.0, 60.0, 75.0)),
+        Shape.SQUARE: (90, 170, (60.0, 75.0, 85.0)), Shape.CIRCLE: (230, 170, (85.0, 75.0, 65.0)),
+    }  # fmt: skip
+    things = [(at(corners(shape, 50.0), x, y), colour) for shape, (x, y, colour) in named.items()]
+    chance = np.random.default_rng(seed)
+    clean = paint(things) + 55.0
+    own, common = chance.standard_normal(clean.shape), chance.standard_normal((*clean.shape[:2], 1))
+    noisy = np.clip(clean + 8.0 * own + 6.0 * common, 0, 255).astype(np.uint8)
+    assert least_step(noisy) == 0.0
+    _, data = cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, 50])
+    picture = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    assert least_step(picture) > 6.0
+    assert sorted(d.shape for d in found(picture)) == sorted(named)
 
 
 def test_touching_parts_are_two() -> None:
