@@ -20,7 +20,7 @@ _BLOCK, _SMALL_STEP = 8, 8
 """Side of a compressed picture's blocks, px, and what counts of a step between neighbours, levels: no more than a
 block's, for objects have larger ones."""
 _BLOCKY = 1.5
-"""Where blocks meet, steps are so many times as large as elsewhere at JPEG quality 85 and below; 1.04 without blocks."""
+"""Where blocks meet, steps are so many times as large as elsewhere at JPEG quality 85 and below; without, 1.04."""
 _BLOCK_STEP = 11.0
 """Blocks of colour beside strong edges were off by up to 10.9 levels at JPEG quality 50, over 10 noisy scenes."""
 
