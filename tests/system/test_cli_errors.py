@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -53,7 +54,7 @@ def test_a_typo_in_a_configuration(controller: Controller, tmp_path: Path) -> No
 
 @pytest.mark.safety("SR-04")
 def test_an_unreachable_bin(controller: Controller, tmp_path: Path) -> None:
-    path = write(tmp_path / "cell.toml", SIM.replace("center_mm = [-190.0, 226.0]", "center_mm = [190.0, 526.0]"))
+    path = write(tmp_path / "cell.toml", re.sub(r"center_mm = .*", "center_mm = [190.0, 526.0]", SIM, count=1))
     for command in (["config", "check"], ["run", "--sim"]):
         done = controller(*command, "--config", path)
         assert done.returncode == 78, done.stderr
