@@ -18,11 +18,11 @@ SQUARES, RECTANGLES = (next(bin_ for bin_ in CELL.bins if bin_.name == name) for
 
 
 def test_a_bin_may_share_a_wall_with_another_but_not_stand_in_it() -> None:
-    x, y = RECTANGLES.center_mm
-    beside = moved(CELL, "squares", (x + 90.0, y))
-    assert beside.bins[0].center_mm == (x + 90.0, y)
+    (x, y), wide = RECTANGLES.center_mm, RECTANGLES.size_mm[0]
+    beside = moved(CELL, "squares", (x + wide, y))
+    assert beside.bins[0].center_mm == (x + wide, y)
     with pytest.raises(ConfigError, match="'squares' and 'rectangles' stand in one another"):
-        moved(CELL, "squares", (x + 89.0, y + 40.0))
+        moved(CELL, "squares", (x + wide - 1.0, y + 40.0))
 
 
 def test_a_taught_file_that_puts_bins_into_one_another_is_refused(tmp_path: Path) -> None:
