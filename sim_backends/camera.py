@@ -15,6 +15,8 @@ EXPOSURE = 0.008  # s
 _NAME = "simulated camera"
 _KEPT = 12
 """Exposures that are kept: the latency of the slowest camera, several times."""
+_NO_TIME = 1e-9
+"""What rounding leaves of a deadline that has passed, s: waiting for it would let no time pass."""
 
 
 class SimulatedCamera:
@@ -61,7 +63,7 @@ class SimulatedCamera:
         deadline = self._world.now() + timeout
         while (shot := self._delivered(after)) is None:
             missing = deadline - self._world.now()
-            if missing <= 0.0:
+            if missing < _NO_TIME:
                 raise FrameStale(_NAME, "capture", f"no frame within {timeout:g} s")
             self._world.advance(min(TICK, missing))
         self._given = shot.at
