@@ -68,6 +68,13 @@ def test_a_frame_from_the_far_future_is_not_waited_for(cell: SimulatedCell) -> N
     assert cell.clock.now() - before == pytest.approx(0.5, abs=0.003)
 
 
+def test_what_rounding_leaves_of_a_deadline_is_not_waited_for(cell: SimulatedCell) -> None:
+    before = cell.clock.now()
+    with pytest.raises(FrameStale):
+        cell.camera.capture(before + 10.0, timeout=1e-15)
+    assert cell.clock.now() == before
+
+
 def test_a_closed_camera_has_no_frames() -> None:
     with pytest.raises(CameraLost):
         SimulatedCell(spec(parts=1, image_size=(160, 90))).camera.capture(0.0)
