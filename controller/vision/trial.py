@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
 _HALF_SEEN = 0.45
 """Share of a silhouette's outline that its top face's shape explains at least: half its sides may lean into view."""
+_TOP_SEEN, _CLOSE = 0.7, 0.35
+"""Share of a top face's outline that must be seen where side faces show, two of a hexagon's six sides may lean into
+view, if its misfit is no more than that share of what is allowed."""
 _RESTARTS = 3
 """How often an outline with hidden parts may move on."""
 _ALIKE = 0.5, 1.6
@@ -103,7 +106,10 @@ def _judged(
         covered = float(area(h.family, r.q[None])[0])
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
-        badness = r.misfit / allowed if r.visible >= settings.visible else math.inf
+        badness = r.misfit / allowed
+        close = scene.sides and r.visible >= _TOP_SEEN and badness <= _CLOSE
+        if r.visible < settings.visible and not close:
+            badness = math.inf
         out[i] = Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1))
     return out
 
