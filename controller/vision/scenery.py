@@ -34,6 +34,9 @@ _SAME = 4.0  # of 255: noise and grain of the reduced picture stay below
 # The share of the still points, those of the strongest edges, by which sharpness is judged: bin walls, not the table's
 # grain or noise.
 _EDGES = 0.01
+# A soft lens weakens all of them; the arm over a bin hides the better part of some looks' edges. So the best fifth
+# tells.
+_SHARPEST = 0.8
 # A move must explain at least this part of the still points that standing still does not: along the grain of a
 # wooden table, little speaks against any move.
 _GAIN = 0.003
@@ -48,7 +51,8 @@ class Change:
         agreement: Part of the still pixels that look as in the reference, or shaded, after undoing that move; low when
             the view is another one or covered, and the displacement then means nothing.
         brightness: Median ratio to the reference.
-        sharpness: How strong the reference's strongest edges are in this picture, median ratio, brightness taken out.
+        sharpness: How strong the strongest edges of the reference are in this picture: the least ratio of the best fifth,
+            brightness taken out.
         grain: Part of the places known for their faint texture that show it; 1 when there are none.
     """
 
@@ -158,7 +162,7 @@ class Scenery:
         if kept < unmoved + _GAIN:
             move, kept = nowhere, unmoved
         edges = self._seen(_edge_strength(levelled), move)[self._edges]
-        sharpness = float(np.median(edges / self._strength))
+        sharpness = float(np.quantile(edges / self._strength, _SHARPEST))
         dx, dy = self._displacement(move)
         agreement = max(kept, self._shown(levelled, move))
         grain = self._grain.correlations(self._undone(picture, move))

@@ -97,6 +97,13 @@ def test_a_soft_lens_is_told(scenery: Scenery) -> None:
     assert "soft" in found[1]
 
 
+def test_an_arm_over_the_better_part_of_the_edges_is_no_soft_lens(scenery: Scenery) -> None:
+    image = scene(2)
+    image[255:, 20:165] = 40  # over one bin, and over a wall of the other
+    image[255:, 520:] = 40
+    assert trouble(scenery.compare(image)) is None
+
+
 def test_a_covered_view_is_told(scenery: Scenery) -> None:
     picture = scene(2)
     picture[:, :450] = (90, 120, 180)
