@@ -51,8 +51,8 @@ class Change:
         agreement: Part of the still pixels that look as in the reference, or shaded, after undoing that move; low when
             the view is another one or covered, and the displacement then means nothing.
         brightness: Median ratio to the reference.
-        sharpness: How strong the strongest edges of the reference are in this picture: the least ratio of the best fifth,
-            brightness taken out.
+        sharpness: How strong the strongest edges of the reference are in this picture, brightness taken out: the least
+            ratio of the best fifth.
         grain: Part of the places known for their faint texture that show it; 1 when there are none.
     """
 
