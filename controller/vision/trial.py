@@ -25,9 +25,10 @@ Floats = NDArray[np.float64]
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
 _HALF_SEEN = 0.45
 """Share of a silhouette's outline that its top face's shape explains at least: half its sides may lean into view."""
-_TOP_SEEN, _CLOSE = 0.7, 0.35
+_TOP_SEEN, _CLOSE, _CLEAR = 0.7, 0.35, 4.0
 """Share of a top face's outline that must be seen where side faces show, two of a hexagon's six sides may lean into
-view, if its misfit is no more than that share of what is allowed."""
+view, if its misfit is no more than that share of what is allowed and its contrast so many times the smallest: the arm's
+shadow has less."""
 _RESTARTS = 3
 """How often an outline with hidden parts may move on."""
 _ALIKE = 0.5, 1.6
@@ -107,7 +108,8 @@ def _judged(
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
         badness = r.misfit / allowed
-        close = scene.sides and r.visible >= _TOP_SEEN and badness <= _CLOSE
+        clear = r.levels >= _CLEAR * settings.minimum_contrast
+        close = scene.sides and clear and r.visible >= _TOP_SEEN and badness <= _CLOSE
         if r.visible < settings.visible and not close:
             badness = math.inf
         out[i] = Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1))
