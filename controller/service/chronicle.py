@@ -56,15 +56,17 @@ class Chronicle(Observer):
             uid: User who gave it.
         """
         self._write(OPERATOR, self._clock.now(), command=command, uid=uid)
-        if command == "reset":
-            self._change(Doing.STOPPED, self._clock.now())
-        elif command == "pause" and self._cause is None:
+        if command == "pause" and self._cause is None:
             self._paused = True
             self._change(Doing.PAUSED, self._clock.now())
         elif command == "resume":
             self._paused = False
             if self._doing is Doing.PAUSED:
                 self._change(Doing.SORTING, self._clock.now())
+
+    def cleared(self) -> None:
+        """The latched fault was reset; from any thread."""
+        self._change(Doing.STOPPED, self._clock.now())
 
     def entered(self, state: State, at: float) -> None:
         """Note a state that means another way to spend the time."""

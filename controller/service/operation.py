@@ -80,6 +80,7 @@ class Operation(Observer):
         facts: What does not change with the state; `reload` may give it a new value.
         reload: Reads the configuration again and says what has changed.
         emptied: Told that a bin, or (None) every bin, was emptied.
+        cleared: Told that a fault was reset, before anything follows from it.
         recover: Opens the devices again after a fault of theirs was reset; called in the waiting thread, moves
             nothing, may raise any SorterError. None: nothing can be opened again.
         say: Told the state as one line whenever it changes, e.g. the service manager.
@@ -93,6 +94,7 @@ class Operation(Observer):
         reload: Callable[[], tuple[str, ...]],
         *,
         emptied: Callable[[str | None], None] = lambda name: None,
+        cleared: Callable[[], None] = lambda: None,
         recover: Callable[[], None] | None = None,
         say: Callable[[str], None] = lambda line: None,
         alarms: AlarmLog | None = None,
@@ -102,6 +104,7 @@ class Operation(Observer):
         self.alarm_log = alarms or AlarmLog()
         self._reload = reload
         self._emptied = emptied
+        self._cleared = cleared
         self._recover = recover
         self._recovery_due = False
         self._say = say
@@ -273,6 +276,7 @@ class Operation(Observer):
             self._recovery_due = self._recover is not None and isinstance(self._latched, DeviceError)
             self._latched = None
             self._may_hold = False
+            self._cleared()
             self._changed.notify_all()
         self.alarm_log.clear()
         self._enter(None if self._recovery_due else State.STOPPED)

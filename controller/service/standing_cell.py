@@ -94,7 +94,8 @@ class StandingCell:
             rig.calibration.calibration_id,
             reload=self._reload,
             emptied=self._emptied,
-            recover=standing.devices.reopen,
+            cleared=standing.chronicle.cleared,
+            recover=self._open_again,
         )
         section = rig.config.ledger
         keep = timedelta(days=section.keep_days)
@@ -113,7 +114,10 @@ class StandingCell:
         try:
             with service.open_to_operators(operation, self._standing.chronicle.commanded):
                 tell_what_was_found(ledger, operation.alarm_log)
-                operation.ready(fault=self._missing or _safe_mode(ledger), may_hold_part=ledger.may_hold_part)
+                fault = self._missing or _safe_mode(ledger)
+                if fault is not None:
+                    self._standing.chronicle.faulted(fault, self._rig.clock.now())
+                operation.ready(fault=fault, may_hold_part=ledger.may_hold_part)
                 service.notifier.ready(operation.line)
                 if start and self._missing is None:
                     operation.start()
@@ -140,6 +144,18 @@ class StandingCell:
         self._reloader.offer(self._reload_for_manager, lambda: None)
 
     # --- what operators ask for -----------------------------------------------------------------------
+
+    def _open_again(self) -> None:
+        """Open the devices again after a reset; what is still wrong goes on record as a fault of its own.
+
+        Raises:
+            SorterError: A device cannot be opened.
+        """
+        try:
+            self._standing.devices.reopen()
+        except SorterError as error:
+            self._standing.chronicle.faulted(error, self._rig.clock.now())
+            raise
 
     def _reload_for_manager(self) -> None:
         notifier = self._standing.service.notifier

@@ -364,8 +364,13 @@ def test_under_a_service_manager_a_missing_arm_is_an_alarm(
     with RunningCell(state, calibration, config) as cell:
         status = cell.operator.ask("status")
         assert (status["state"], status["alarms"][0]["code"]) == ("ABORTED", "bus_lost")
+        cell.operator.ask("reset")  # too early: it is still unplugged
+        cell.wait_for("state", "ABORTED")
         monkeypatch.setattr(DynamixelArm, "open", opened)
         cell.operator.ask("reset")
         cell.wait_for("state", "STOPPED")
         cell.operator.ask("start")
         cell.wait_for("counts", {"placed": PARTS})
+    with LedgerView(state / "ledger.db") as ledger:
+        doings = [event["details"]["doing"] for event in ledger.rows("events") if event["kind"] == "state"]
+    assert doings[:5] == ["fault", "stopped", "fault", "stopped", "sorting"]

@@ -84,6 +84,7 @@ class Day:
         self.chronicle.faulted(stuck, self.clock.now())
         self.enter(State.FAULT)
         self.clock.sleep(seconds)
+        self.chronicle.cleared()
         self.chronicle.commanded("reset", 1000)
 
     def end(self) -> None:

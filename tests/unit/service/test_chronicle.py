@@ -107,9 +107,10 @@ def test_a_fault_lasts_until_it_is_reset(chronicle: Chronicle, ledger: Events) -
     enter(chronicle, 1.0, State.HOMING)
     chronicle.faulted(MotionTimeout("arm", "follow", "stuck"), 2.0)
     enter(chronicle, 2.0, State.FAULT)
+    chronicle.cleared()
     chronicle.commanded("reset", 1000)
     kinds = [(kind, details.get("doing", details.get("command"))) for kind, _, details in ledger.events]
-    assert kinds == [("state", "sorting"), ("state", "fault"), ("operator", "reset"), ("state", "stopped")]
+    assert kinds == [("state", "sorting"), ("state", "fault"), ("state", "stopped"), ("operator", "reset")]
     told = ledger.events[1][2]
     assert (told["code"], told["cause"]) == ("motion_timeout", "arm: follow: stuck")
     assert "controller reset" in told["remedy"]  # the catalogue's, where the error has none of its own
