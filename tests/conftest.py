@@ -27,7 +27,13 @@ _OTHERS_FILES = ("/dev/urandom", "/dev/random", "/dev/null", "anon_inode:")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the longer studies unless they are asked for: `-m study`, or a test by its name."""
+    """Leave out the longer studies unless they are asked for: `-m study`, or a test by its name.
+
+    With `--hypothesis-profile=study` a test may take as long as its thousands of examples need.
+    """
+    if settings.get_current_profile_name() == "study":
+        for item in items:
+            item.add_marker(pytest.mark.timeout(0))
     if config.option.markexpr or any("::" in argument for argument in config.args):
         return
     studies = [item for item in items if item.get_closest_marker("study")]

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from controller.domain import Result
 from controller.errors import LedgerError
-from controller.ledger.failures import as_ledger_error
+from controller.ledger.failures import as_ledger_error, damage
 from controller.ledger.schema import SCHEMA, is_foreign, migrate, version_of
 from controller.ledger.selection import EVERYTHING, TABLES, Selection, Table
 
@@ -226,10 +226,13 @@ def refuse_unknown(connection: sqlite3.Connection, path: Path) -> None:
 
     Raises:
         LedgerError: It is one of these.
+        sqlite3.Error: It is damaged.
     """
     if is_foreign(connection):
         raise LedgerError(f"{path}: a database, but not a ledger", "name another file")
     version = version_of(connection)
+    if version < 0:
+        raise damage(f"its schema is said to be {version}")
     if version > SCHEMA:
         raise LedgerError(
             f"{path}: written by a newer version (schema {version}, this program knows {SCHEMA})",

@@ -250,7 +250,7 @@ def test_a_database_of_something_else_is_refused_and_left_alone(path: Path) -> N
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("damage", ["text", "page", "schema"])
+@pytest.mark.parametrize("damage", ["text", "page", "schema", "version"])
 def test_a_damaged_ledger_is_set_aside_and_a_new_one_begun(path: Path, damage: str) -> None:
     with opened(path) as ledger:
         for number in range(30):
@@ -260,6 +260,10 @@ def test_a_damaged_ledger_is_set_aside_and_a_new_one_begun(path: Path, damage: s
     elif damage == "schema":
         # SQLite quotes the place in its message, which then is no text either.
         path.write_bytes(path.read_bytes().replace(b"CREATE TABLE runs", b"CREATE TABL\x80 runs"))
+    elif damage == "version":
+        with sqlite3.connect(path) as connection:
+            connection.execute("PRAGMA user_version = -7")
+        connection.close()
     else:
         data = bytearray(path.read_bytes())
         data[4096 * 3 : 4096 * 5] = b"\xa5" * 8192
