@@ -14,7 +14,7 @@ from controller.ports import Clock
 from drivers.arm import bring_up
 from drivers.arm.bus import Bus
 from drivers.arm.control_table import WATCHDOG_UNIT
-from drivers.arm.conversions import opening_from_angle, opening_sign, ticks_from_angles
+from drivers.arm.conversions import opening_from_angle, opening_sign, stall_angle, ticks_from_angles
 from drivers.arm.servos import Telemetry, read_telemetry, read_telemetry_surely, servos_of
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Body:
         servos: Joints from base to tool, the gripper, then the shadows.
         joints: From base to tool.
         gripper: The gripper's servo.
-        full_speeds: ndarray of shape (J,), rad/s: the fastest that moves are planned with.
+        stall: ndarray of shape (J,), rad: how far from a joint its goal has the servo push with its whole torque.
         goals: ndarray of shape (J,), rad: what the joints were told last.
         latest: The last complete state, or None.
         listener: Is told every complete cycle of a streamed move, or None.
@@ -55,7 +55,7 @@ class Body:
         self.servos = servos_of(description)
         self.joints = self.servos[: len(description.joints)]
         self.gripper = self.servos[len(description.joints)]
-        self.full_speeds: Array = np.array([joint.speed_limit for joint in description.joints])
+        self.stall: Array = np.array([stall_angle(joint.gains[0]) for joint in self.joints])
         self.goals: Array = np.zeros(len(self.joints))
         self.latest: ArmState | None = None
         self.listener: Callable[[ServoCycle], None] | None = None

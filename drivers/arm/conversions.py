@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controller.domain import Gripper
+from drivers.arm.control_table import PWM_FULL
 
 TICKS_PER_RAD = 4096 / (2.0 * math.pi)
 CENTER_TICKS = 2048
@@ -31,6 +32,14 @@ def ticks_from_angles(angles: ArrayLike) -> NDArray[np.int64]:
 def ticks_from_angle(angle: float) -> int:
     """Goal_Position for one joint angle (rad), to the nearest tick."""
     return round(angle * TICKS_PER_RAD + CENTER_TICKS)
+
+
+def stall_angle(position_p_gain: int) -> float:
+    """Angle between goal and joint at which the P gain alone asks for all of the PWM, rad.
+
+    Source: ROBOTIS e-Manual, X series, "Position PID Gain": PWM = Position_P_Gain / 128 * ticks.
+    """
+    return PWM_FULL * 128.0 / position_p_gain / TICKS_PER_RAD
 
 
 def angle_from_ticks(ticks: int) -> float:

@@ -4,9 +4,8 @@ A miss is a cycle without news; the goals go on. A servo's fault, silence for se
 strays from its path ends the move: the others slow down along the path and hold, then the error is raised.
 
 A stop is one of category 1 (IEC 60204-1): power stays on to slow down, and goes off after parking. The first goal
-that is slower than planned leaves within one cycle, the last that moves within `SHORTEST_STOP` of it at a third of the
-joints' speeds and within `STOP_TIME` at their full ones; from there no torque these servos have would stop the waist
-without overshoot in less than 0.07 s.
+that is slower than planned leaves within one cycle; the last that moves `SHORTEST_RAMP` later, or as much later as the
+servos' torque asks for.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout
 from drivers.arm.body import WATCHDOG, Body, MissCounter, StopRequested
 from drivers.arm.conversions import opening_from_angle, ticks_from_angles
 from drivers.arm.servos import Telemetry
-from drivers.arm.streaming import STOP_TIME, Progress
+from drivers.arm.streaming import LONGEST_RAMP, Pace, Progress
 
 START_TOLERANCE = 0.05
 """Largest distance of a joint from a trajectory's start, rad: sag and joint offsets stay below, other poses not."""
@@ -109,7 +108,7 @@ class Follower:
         self._trajectory = trajectory
         self._stop_requested = stop_requested
         self._paused = paused
-        self._progress = Progress(trajectory, body.goals, body.full_speeds)
+        self._progress = Progress(trajectory, body.goals, body.stall)
         self._misses = MissCounter(body)
         self._present = state.positions.copy()
         self._speeds = np.abs(state.velocities)
@@ -141,8 +140,7 @@ class Follower:
             news = self._look()
             if news and body.listener is not None:
                 body.listener(ServoCycle(sent_at, clock.now(), body.goals, self._present.copy()))
-            ending = self._failure is not None or self._stop_requested()
-            if progress.at_end or (ending and progress.standing):
+            if progress.at_end or (self._ending and progress.standing):
                 if self._failure is not None:
                     body.send_goals(progress.goals)
                     raise self._failure
@@ -155,14 +153,23 @@ class Follower:
             last += elapsed
             if elapsed > WATCHDOG / 2.0:
                 self._guard(self._after_silence)
-            waiting = self._wait_for_jaws(elapsed)
-            progress.advance(elapsed, ending or waiting or self._paused())
+            progress.advance(elapsed, self._pace(elapsed))
+
+    @property
+    def _ending(self) -> bool:
+        return self._failure is not None or self._stop_requested()
+
+    def _pace(self, elapsed: float) -> Pace:
+        waiting = self._wait_for_jaws(elapsed)
+        if self._ending:
+            return Pace.STOP
+        return Pace.HOLD if waiting or self._paused() else Pace.GO
 
     def _wait_for_jaws(self, elapsed: float) -> bool:
         """Whether the move has to wait before it gets among other things: jaws too wide would come down on them."""
         narrow, wanted = self._trajectory.narrow, self._opening
         # Slowing down takes half of its time off the way that is left, and begins with the next goal.
-        ahead = 0.5 * STOP_TIME + 2.0 * self._trajectory.period
+        ahead = 0.5 * LONGEST_RAMP + 2.0 * self._trajectory.period
         if narrow is None or wanted is None or self._progress.phase < narrow - ahead:
             return False
         if not self._errands and abs(self._jaws - wanted) <= JAW_TOLERANCE:

@@ -7,6 +7,7 @@ stop slows the progress down instead of the joints, so that they stay on their p
 from __future__ import annotations
 
 import math
+from enum import Enum, auto
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,11 @@ from controller.domain import Trajectory
 
 Array = NDArray[np.float64]
 
-STOP_TIME = 0.12
-"""s from full progress to none while a joint is at its full speed: keeps the servos below 0.8 of their power; 0.2 costs
-more path. With their whole stall torque the waist would need 0.07."""
+LONGEST_RAMP = 0.12
+"""s from full progress to none at most, and from none to full: with it the waist needs 0.7 of its stall torque."""
 
-SHORTEST_STOP = 0.04
-"""s from full progress to none at a third of the speed and below: in proportion to the speed, and in four goals."""
+SHORTEST_RAMP = 0.03
+"""s from full progress to none at least: three goals."""
 
 STANDSTILL = 0.060
 """A gap after which joints have come to rest at their last goal, s (their lag is 45 ms): restart from rest."""
@@ -29,30 +29,46 @@ BLEND_TIME = 0.25
 """s over which a difference between the last goal and the trajectory's first is led to zero."""
 
 _LATE_PERIODS = 2
+_STANDS = 1e-9  # a rate below which only rounding is left of a ramp
+
+
+class Pace(Enum):
+    """What becomes of the progress."""
+
+    GO = auto()  # at full rate, or up to it
+    HOLD = auto()  # slow down gently and stand
+    STOP = auto()  # stand as soon as the servos can
+
+
+TORQUE_SHARE = {Pace.HOLD: 0.5, Pace.STOP: 0.9}
+"""Of its stall torque, what slowing down may ask of a servo; a stop leaves the rest to what the model does not know."""
 
 
 class Progress:
     """Where on a trajectory the goals are.
 
+    A goal holds until the next, so it is chosen for the change of the rate that the coming period brings.
+
     Args:
         trajectory: What to stream.
         last_goals: ndarray of shape (J,), rad: what the servos were told last.
-        full_speeds: ndarray of shape (J,), rad/s: the speeds at which a stop takes `STOP_TIME`.
+        stall: ndarray of shape (J,), rad: how far from its joint a goal has the servo push with its whole torque.
 
     Attributes:
         phase: s along the trajectory.
+        rate: Progress per time, 0..1.
         slipped: s of real time the trajectory has lost to late cycles.
     """
 
-    def __init__(self, trajectory: Trajectory, last_goals: Array, full_speeds: Array) -> None:
+    def __init__(self, trajectory: Trajectory, last_goals: Array, stall: Array) -> None:
         self.phase = 0.0
+        self.rate = 1.0
         self.slipped = 0.0
         self._trajectory = trajectory
+        self._stall = stall
         self._carry: Array = last_goals - trajectory.goals[0]
         self._blended = 0.0
-        self._ramp = 1.0
         self._gain = 0.0
-        self._stop_times = _stop_times(trajectory, full_speeds)
 
     @property
     def at_end(self) -> bool:
@@ -62,12 +78,7 @@ class Progress:
     @property
     def standing(self) -> bool:
         """The goals do not move on, because of a stop."""
-        return self._ramp <= 0.0
-
-    @property
-    def rate(self) -> float:
-        """Progress per time, 0..1."""
-        return 0.5 * (1.0 - math.cos(math.pi * self._ramp))
+        return self.rate <= 0.0
 
     @property
     def positions(self) -> Array:
@@ -82,46 +93,54 @@ class Progress:
 
     def _told(self) -> Array:
         """The trajectory's goals for the rate it is passed at: the lead against lag shrinks with it, sag stays."""
-        goals = self._sample(self._trajectory.goals)
-        if self._trajectory.resting is not None:
-            resting = self._sample(self._trajectory.resting)
-            goals = resting + self.rate * (goals - resting)
-        if self._trajectory.braking is not None:
-            goals = goals + self._gain * self._sample(self._trajectory.braking)
-        return goals
+        resting, lead, push = self._shares()
+        middle = self.rate + 0.5 * self._gain * self._trajectory.period
+        return np.asarray(resting + middle * lead + self._gain * push)
+
+    def _shares(self) -> tuple[Array, Array, Array]:
+        """What a goal consists of: to stand still here, to pass at full rate, and for each 1/s the rate changes by."""
+        move = self._trajectory
+        goals = self._sample(move.goals)
+        resting = goals if move.resting is None else self._sample(move.resting)
+        push = np.zeros_like(goals) if move.braking is None else self._sample(move.braking)
+        return resting, goals - resting, push
 
     def rest(self) -> None:
         """Begin at standstill."""
-        self._ramp = self._gain = 0.0
+        self.rate = self._gain = 0.0
 
-    def advance(self, elapsed: float, stopping: bool) -> None:
-        """Move on by at most two periods of the `elapsed` s, slowing down or speeding up as asked."""
-        step = min(elapsed, _LATE_PERIODS * self._trajectory.period)
+    def advance(self, elapsed: float, pace: Pace) -> None:
+        """Move on by at most two periods of the `elapsed` s, and choose how the rate changes until the next goal."""
+        period = self._trajectory.period
+        step = min(elapsed, _LATE_PERIODS * period)
         self.slipped += elapsed - step
         if elapsed > STANDSTILL:
-            self._ramp = 0.0
+            self.rest()
         before = self.rate
-        if stopping:
-            # Cycles add up to a whole ramp but for rounding.
-            self._ramp = max(0.0, self._ramp - step / self._stop_time - 1e-9)
-        else:
-            self._ramp = min(1.0, self._ramp + step / STOP_TIME)
-        self._gain = (self.rate - before) / step if step > 0.0 else 0.0
+        self.rate = min(1.0, before + self._gain * step)
+        if self.rate < _STANDS:
+            self.rate = 0.0
         moved = step * 0.5 * (before + self.rate)
         done = self.phase >= self._trajectory.duration
         self.phase = min(self._trajectory.duration, self.phase + moved)
         self._blended += step if done else moved
+        if pace is Pace.GO:
+            self._gain = min(1.0 / LONGEST_RAMP, (1.0 - self.rate) / period)
+        else:
+            self._gain = -min(self._steepest(TORQUE_SHARE[pace] * self._stall), self.rate / period)
+
+    def _steepest(self, reach: Array) -> float:
+        """How fast the rate may fall with no goal farther than `reach` (rad) from its joint, 1/s."""
+        resting, lead, push = self._shares()
+        held = resting - self.positions + self.rate * lead
+        room = (reach + np.sign(push) * held) / np.maximum(np.abs(push), 1e-9)
+        return min(max(float(room.min()), 1.0 / LONGEST_RAMP), 1.0 / SHORTEST_RAMP)
 
     def rebase(self, goals: Array) -> None:
         """Go on from other goals (rad), at rest: what the servos were told last is no longer in force."""
         self._blended = 0.0
         self.rest()
         self._carry = goals - self._told()
-
-    @property
-    def _stop_time(self) -> float:
-        index = min(int(self.phase / self._trajectory.period), len(self._stop_times) - 1)
-        return float(self._stop_times[index])
 
     def _sample(self, values: Array) -> Array:
         place = self.phase / self._trajectory.period
@@ -130,19 +149,3 @@ class Progress:
         if share <= 0.0 or index + 1 >= len(values):
             return np.asarray(values[index])
         return np.asarray(values[index] * (1.0 - share) + values[index + 1] * share)
-
-
-def _stop_times(trajectory: Trajectory, full_speeds: Array) -> Array:
-    """How long a stop takes that begins at each sample: ndarray of shape (N,), s.
-
-    In proportion to the fastest joint's speed, so that stops ask for the same deceleration wherever they begin; the
-    samples that a full stop still passes count.
-    """
-    if len(trajectory.positions) < 2:
-        return np.array([SHORTEST_STOP])
-    speeds = np.abs(np.diff(trajectory.positions, axis=0)) / trajectory.period
-    share = (speeds / full_speeds).max(axis=1)
-    ahead = math.ceil(0.5 * STOP_TIME / trajectory.period)
-    padded = np.concatenate([share, np.zeros(ahead)])
-    passed = np.lib.stride_tricks.sliding_window_view(padded, ahead + 1).max(axis=1)
-    return np.asarray(np.clip(STOP_TIME * passed, SHORTEST_STOP, STOP_TIME))

@@ -14,8 +14,9 @@ from functools import partial
 
 import numpy as np
 
+from controller.cli.config import default_config
+from controller.config.arm import load_arm
 from controller.config.cell import load_cell
-from controller.config.files import shipped
 from controller.domain import ArmDescription, Array, ServoCycle
 from controller.geometry import transform
 from controller.motion.identification import Identification, identified, identify, ordinary_moves
@@ -32,7 +33,6 @@ from sim_backends.virtual_dynamixel import ServoSpec, VirtualBus
 from tests.unit.drivers.bench import WireTap
 from tests.unit.motion.scene import RX150
 
-CELL = load_cell(shipped("sim.toml"))
 STRAIGHT, TIP = 1.5, 1.0  # mm, what is wanted at most after identification
 GRASP, LIFT = 19.0, 60.0  # mm; the jaw tips end 4 mm above the table
 
@@ -50,35 +50,52 @@ class OffGains:
 
 
 class Bench:
-    """An arm in physics, with masses and gains of its own."""
+    """An arm in physics, with masses and gains of its own.
 
-    def __init__(self, seed: int, gain: float, mass: float) -> None:
+    Args:
+        seed: Of masses and gains.
+        gain: Largest error of a servo's gain, as a share of it.
+        mass: Largest error of a link's mass, as a share of it.
+        name: Which arm.
+        load: Mass that is fixed in its hand, kg.
+    """
+
+    def __init__(self, seed: int, gain: float, mass: float, name: str = "reactorx_150", load: float = 0.0) -> None:
         rng = np.random.default_rng(seed)
-        scale = tuple(float(v) for v in 1.0 + rng.uniform(-mass, mass, 6))
+        self.kind = load_arm(name)
+        self.config = load_cell(default_config(name))
+        links = len(self.kind.links)
+        scale = 1.0 + rng.uniform(-mass, mass, 6)
+        scale[links - 1] += load / self.kind.links[-1].mass
         spec = CellSpec(
-            arm=RX150,
-            bins=CELL.bin_values(),
-            T_base_table=_rows(CELL.table.T_base_table()),
+            arm=self.kind,
+            bins=self.config.bin_values(),
+            T_base_table=_rows(self.config.table.T_base_table()),
             parts=1,
             seed=seed,
             level="ideal",
-            overrides={"link_scale": scale},
+            overrides={"link_scale": tuple(scale.tolist())},
         )
         self.cell = SimulatedCell(spec)
         self.cell.set_aside()
         servos = [ServoSpec(*servo) for servo in self.cell.bus_servos]
-        self.gains = 1.0 + rng.uniform(-gain, gain, len(RX150.joints))
-        ids = [joint.servo_id for joint in RX150.joints]
+        self.gains = 1.0 + rng.uniform(-gain, gain, len(self.kind.joints))
+        ids = [joint.servo_id for joint in self.kind.joints]
         plant = OffGains(self.cell.plant, dict(zip(ids, self.gains.tolist(), strict=True)))
-        self.bus = VirtualBus(plant, servos, baud=RX150.baud, seed=seed)
+        self.bus = VirtualBus(plant, servos, baud=self.kind.baud, seed=seed)
         self.stream = WireTap(self.bus, self.cell.plant)
-        self.arm = DynamixelArm(RX150, self.stream, self.cell.clock)
+        self.arm = DynamixelArm(self.kind, self.stream, self.cell.clock)
         self.arm.open()
         self.arm.energise()
 
+    def planner(self, speed: float = 1.0, part_mass: float = 0.02) -> Planner:
+        """Of its cell as described."""
+        calibration = by_ruler(self.config)
+        return Planner(self.kind, calibration, self.config.bin_values(), speed=speed, part_mass=part_mass)
+
     def tool(self) -> Array:
         """Where the grasp point truly is, `base`, mm."""
-        return transform(CELL.table.T_base_table(), self.cell.tool())
+        return transform(self.config.table.T_base_table(), self.cell.tool())
 
 
 def _rows(pose: Array) -> tuple[tuple[float, ...], ...]:
@@ -87,7 +104,7 @@ def _rows(pose: Array) -> tuple[tuple[float, ...], ...]:
 
 def learn(bench: Bench) -> Identification:
     """What the arm's ordinary moves say about it."""
-    planner = Planner(RX150, by_ruler(CELL), CELL.bin_values(), speed=0.7)
+    planner = bench.planner(speed=0.7)
     moves: list[list[ServoCycle]] = []
     cycles: list[ServoCycle] = []
     bench.arm.listen(cycles.append)
@@ -107,7 +124,7 @@ def strokes(bench: Bench, model: ArmDescription, count: int = 10) -> Array:
     rng = np.random.default_rng(99)
     out = []
     q = np.array(RX150.ready)
-    bench.arm.follow(Planner(model, by_ruler(CELL), CELL.bin_values()).home(bench.arm.state().positions))
+    bench.arm.follow(bench.planner().home(bench.arm.state().positions))
     for _ in range(count):
         radius, azimuth = rng.uniform(155.0, 255.0), rng.uniform(-0.85, 0.85)
         goal = (radius * np.cos(azimuth), radius * np.sin(azimuth), GRASP)
