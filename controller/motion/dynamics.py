@@ -31,9 +31,10 @@ class _Model:
     """An arm as numbers: metres and kilograms."""
 
     start: float
-    spans: tuple[tuple[float, float], ...]  # vector from shoulder to elbow and elbow to wrist
-    bodies: tuple[tuple[int, float, float, float], ...]  # (planar joint 0..2, x, z, mass) carried by it
-    hand: float
+    # Each body's way from the shoulder: (x, z) along and across the upper arm, the forearm, the hand; (B, 3, 2).
+    # The last is the payload.
+    legs: Array
+    masses: Array
     column: float  # moment of inertia of what turns with the waist only, kg m^2
     stiffness: Array
     damping: Array
@@ -56,18 +57,20 @@ def _build(arm: ArmDescription) -> _Model:
     joints, links = arm.joints, arm.links
     # What the roll joint carries sits on its axis as far as the plane is concerned.
     shift = [0.0, 0.0, 0.0, 0.0] + [joint.offset[0] for joint in joints[4:]]
-    bodies = tuple(
-        (min(k, 3) - 1, (link.center[0] + shift[k]) * _M, link.center[2] * _M, link.mass)
-        for k, link in enumerate(links)
-        if k > 0
-    )
+    centers = [(link.center[0] + shift[k], link.center[2]) for k, link in enumerate(links)][1:]
+    centers.append((sum(shift) + arm.tool[0], 0.0))
+    legs = np.zeros((len(centers), 3, 2))
+    for k, center in enumerate(centers):
+        carrier = min(k, 2)
+        for j in range(carrier):
+            legs[k, j] = joints[j + 2].offset[0], joints[j + 2].offset[2]
+        legs[k, carrier] = center
     first = links[0]
     servo = [joint.dynamics for joint in joints]
     return _Model(
         start=joints[1].offset[0] * _M,
-        spans=tuple((joints[k].offset[0] * _M, joints[k].offset[2] * _M) for k in (2, 3)),
-        bodies=bodies,
-        hand=(sum(shift) + arm.tool[0]) * _M,
+        legs=legs * _M,
+        masses=np.array([*(link.mass for link in links[1:]), 0.0]),
         column=first.mass * (first.center[0] ** 2 + first.center[1] ** 2) * _M**2,
         stiffness=np.array([s.stiffness for s in servo]),
         damping=np.array([s.damping for s in servo]),
@@ -95,28 +98,19 @@ def torque(arm: ArmDescription, q: Array, qd: Array, qdd: Array, payload: Array 
     gain = np.cumsum(qdd[:, 1:4], axis=1)
     cos, sin = np.cos(below), np.sin(below)
     spin, spin_gain = qd[:, 0], qdd[:, 0]
-    about = np.zeros((len(q), 3))  # torque about each body's own absolute angle
-    waist = m.column * spin_gain
-    for k, x, z, mass in (*m.bodies, (2, m.hand, 0.0, payload)):
-        legs = [(*m.spans[j], j) for j in range(k)] + [(x, z, k)]
-        radius = np.full(len(q), m.start)
-        radius_rate, radius_gain, height_gain = np.zeros(len(q)), np.zeros(len(q)), np.full(len(q), GRAVITY)
-        vectors = []
-        for lx, lz, j in legs:
-            out, up = lx * cos[:, j] + lz * sin[:, j], lz * cos[:, j] - lx * sin[:, j]
-            vectors.append((out, up, j))
-            w2 = rate[:, j] ** 2
-            radius += out
-            radius_rate += rate[:, j] * up
-            radius_gain += gain[:, j] * up - w2 * out
-            height_gain -= gain[:, j] * out + w2 * up
-        push = mass * (radius_gain - radius * spin**2)
-        lift = mass * height_gain
-        waist = waist + mass * radius * (radius * spin_gain + 2.0 * radius_rate * spin)
-        for out, up, j in vectors:
-            about[:, j] += push * up - lift * out
+    mass = np.repeat(m.masses[:, None], len(q), axis=1)
+    mass[-1] = payload
+    # From joint to joint on the way to each body, outwards and up: (bodies, N, 3).
+    out = m.legs[:, None, :, 0] * cos + m.legs[:, None, :, 1] * sin
+    up = m.legs[:, None, :, 1] * cos - m.legs[:, None, :, 0] * sin
+    w2 = rate * rate
+    radius = m.start + out.sum(axis=2)
+    radius_rate = (rate * up).sum(axis=2)
+    push = mass * ((gain * up - w2 * out).sum(axis=2) - radius * spin**2)
+    lift = mass * (GRAVITY - (gain * out + w2 * up).sum(axis=2))
+    about = (push[..., None] * up - lift[..., None] * out).sum(axis=0)  # each planar body's own absolute angle
     tau = np.zeros_like(q)
-    tau[:, 0] = waist
+    tau[:, 0] = m.column * spin_gain + (mass * radius * (radius * spin_gain + 2.0 * radius_rate * spin)).sum(axis=0)
     tau[:, 1:4] = np.cumsum(about[:, ::-1], axis=1)[:, ::-1]
     return tau
 

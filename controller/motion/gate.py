@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import ArmDescription, Array, Bin, PickPlan, Trajectory
+from controller.domain import ArmDescription, Array, Bin, Trajectory
 from controller.errors import LimitViolation
 from controller.geometry import invert, transform
 from controller.motion.kinematics import Chain, chain, points, rotation
@@ -54,20 +54,11 @@ class Gate:
     radius: float
     eye: Array | None = None
 
-    def check_plan(self, plan: PickPlan, start: Array) -> None:
-        """Approve a whole pick before its first move.
-
-        Args:
-            plan: The plan.
-            start: ndarray of shape (J,): where the joints are now (offsets taken out), rad.
-
-        Raises:
-            LimitViolation: The message names the move, what is broken, its value and its limit.
-        """
-        where = start
-        for trajectory in plan.trajectories:
-            self.check(trajectory, where, opening=plan.grasp.opening)
-            where = trajectory.positions[-1]
+    def check_moves(self, moves: Sequence[Trajectory], start: Array, opening: float) -> None:
+        """Approve moves that follow each other; arguments and errors as of `check`."""
+        for move in moves:
+            self.check(move, start, opening=opening)
+            start = move.positions[-1]
 
     def check(self, trajectory: Trajectory, start: Array, *, opening: float | None = None) -> None:
         """Approve one move.
@@ -126,16 +117,17 @@ class Gate:
     def _joints(self, name: str, q: Array, period: float) -> None:
         speed = np.diff(q, axis=0) / period
         gain = np.diff(speed, axis=0) / period
-        c = chain(self.arm)
-        for k, joint in enumerate(self.arm.joints):
-            low, high = float(q[:, k].min()), float(q[:, k].max())
-            if low < c.low[k] - 1e-9 or high > c.high[k] + 1e-9:
-                value, limit = (low, c.low[k]) if low < c.low[k] - 1e-9 else (high, c.high[k])
+        lows, highs = q.min(axis=0).tolist(), q.max(axis=0).tolist()
+        speeds, gains = (np.abs(rows).max(axis=0, initial=0.0).tolist() for rows in (speed, gain))
+        for joint, low, high, fast, hard in zip(self.arm.joints, lows, highs, speeds, gains, strict=True):
+            lowest, highest = joint.limits
+            if low < lowest - 1e-9 or high > highest + 1e-9:
+                value, limit = (low, lowest) if low < lowest - 1e-9 else (high, highest)
                 raise _violation(name, joint.name, math.degrees(value), math.degrees(limit))
-            if len(speed) and (top := float(np.abs(speed[:, k]).max())) > joint.speed_limit * SPEED_SLACK:
-                raise _violation(name, f"{joint.name} speed", top, joint.speed_limit, "rad/s")
-            if len(gain) and (top := float(np.abs(gain[:, k]).max())) > joint.acceleration_limit * ACCELERATION_SLACK:
-                raise _violation(name, f"{joint.name} acceleration", top, joint.acceleration_limit, "rad/s^2")
+            if fast > joint.speed_limit * SPEED_SLACK:
+                raise _violation(name, f"{joint.name} speed", fast, joint.speed_limit, "rad/s")
+            if hard > joint.acceleration_limit * ACCELERATION_SLACK:
+                raise _violation(name, f"{joint.name} acceleration", hard, joint.acceleration_limit, "rad/s^2")
 
     def _body(self, name: str, body: Array) -> None:
         """Elbow, wrist and grasp point against table, column and workspace; the first sample may be anywhere."""
@@ -160,6 +152,8 @@ class Gate:
         # How deep in the column a point is: the shorter way out, to the side or up. An arm that rests on its
         # column may leave it by any way that does not press it further in.
         depth = _column_depth(c, arm)
+        if depth.max() <= depth[0] + 1e-6:
+            return
         rest = points(self.arm, np.array(self.arm.rest))
         lying = np.concatenate([rest[1] + (rest[2] - rest[1]) * share, rest[2] + (rest[3] - rest[2]) * share])
         allowed = max(float(depth[0]), float(_column_depth(c, lying[None])[0]))
@@ -185,12 +179,13 @@ class Gate:
             low = height < bin_.height + WALL_MARGIN
             if not low.any():
                 continue
-            flat = np.abs(way[low][..., :2] - np.array(bin_.center))
+            about = way[low][..., :2] - np.array(bin_.center)
             half = np.array(bin_.size) / 2.0
-            inside = _inside(flat, half)
-            box = _beside(way[low][..., :2] - np.array(bin_.center), half + WALL + WALL_MARGIN + BIN_ASTRAY)
+            outer = half + WALL + WALL_MARGIN + BIN_ASTRAY
+            if (about.min(axis=(0, 1)) > outer).any() or (about.max(axis=(0, 1)) < -outer).any():
+                continue
             bad = np.zeros(len(q), bool)
-            bad[low] = ~(inside | box)
+            bad[low] = ~(_inside(np.abs(about), half) | _beside(about, outer))
             # An arm stopped at a wall may leave it straight up, as far as it needs.
             free = int(np.argmin(bad)) if not bad.all() else len(bad)
             if bad[free:].any() or (np.diff(height[: free + 1]) < -1e-6).any():

@@ -85,7 +85,7 @@ def _posture(arm: ArmDescription, radius: float, azimuth: float, height: float, 
     position = (axis + radius * math.cos(azimuth), radius * math.sin(azimuth), height)
     roll = roll if len(arm.joints) > 4 else 0.0
     for pitch in _PITCHES:
-        found = solutions(arm, position, pitch, roll, within=True)
+        found = list(solutions(arm, position, pitch, roll, within=True))
         if found:
             return np.array(found[0][1])
     return np.asarray(inverse(arm, position, roll=roll)[0])

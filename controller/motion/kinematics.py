@@ -10,6 +10,7 @@ Source: two-link inverse kinematics by the law of cosines, e.g. Lynch and Park, 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from controller.errors import Unreachable
 
 TOP_DOWN = math.pi / 2
 BRANCHES = 4
+FACING_UP = 0
+"""The branch that faces the point, elbow up: the one work is done in."""
 _BEHIND = 179.5
 """deg of the waist: a gap narrower than this beside half a turn looks like none to who builds a cell."""
 _JOINTS_WITH_ROLL = 5
@@ -38,6 +41,7 @@ class Chain:
         hand: Distance from the wrist to the grasp point.
         low: ndarray of shape (J,), lowest joint angles.
         high: ndarray of shape (J,), highest joint angles.
+        limits: (lowest, highest) of every joint.
     """
 
     joints: int
@@ -48,6 +52,7 @@ class Chain:
     hand: float
     low: Array
     high: Array
+    limits: tuple[tuple[float, float], ...]
 
 
 # By identity: hashing a whole description takes longer than the kinematics.
@@ -74,6 +79,7 @@ def _chain(arm: ArmDescription) -> Chain:
         hand=roll + arm.tool[0],
         low=np.array([joint.limits[0] for joint in arm.joints]),
         high=np.array([joint.limits[1] for joint in arm.joints]),
+        limits=tuple(joint.limits for joint in arm.joints),
     )
 
 
@@ -213,7 +219,7 @@ def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, r
         return np.array(found)
     x, y, z = (float(v) for v in np.asarray(position, np.float64))
     place = f"({x:.0f}, {y:.0f}, {z:.0f}) mm pitched {math.degrees(pitch):.0f} deg"
-    all_known = solutions(arm, position, pitch, roll, within=False)
+    all_known = list(solutions(arm, position, pitch, roll, within=False))
     if not all_known:
         raise Unreachable(f"{place} is too far from or too near to the shoulder", "move the part")
     # What keeps the arm from facing the point says more than what keeps it from reaching over its back.
@@ -238,7 +244,7 @@ def inverse(arm: ArmDescription, position: ArrayLike, pitch: float = TOP_DOWN, r
 
 def solutions(
     arm: ArmDescription, position: ArrayLike, pitch: float, roll: float, *, within: bool
-) -> list[tuple[int, list[float]]]:
+) -> Iterator[tuple[int, list[float]]]:
     """Index among the `branches` and joint angles (rad) of every posture for one pose.
 
     Args:
@@ -254,8 +260,6 @@ def solutions(
     reach = math.hypot(x - c.axis[0], y) - c.hand * math.cos(pitch)
     up = z + c.hand * math.sin(pitch) - c.axis[1]
     a, b = c.upper[0], c.fore[0]
-    limits = list(zip(c.low.tolist(), c.high.tolist(), strict=True))
-    found = []
     for k in range(BRANCHES):
         facing, sign = k < BRANCHES // 2, 1.0 if k % 2 == 0 else -1.0
         out = (reach if facing else -reach) - c.start
@@ -270,9 +274,8 @@ def solutions(
         q = [waist, shoulder, elbow, _turned((pitch if facing else math.pi - pitch) - shoulder - elbow)]
         if c.joints == _JOINTS_WITH_ROLL:
             q.append(_turned(roll if facing else roll - math.pi))
-        if not within or all(low <= v <= high for v, (low, high) in zip(q, limits, strict=True)):
-            found.append((k, q))
-    return found
+        if not within or all(low <= v <= high for v, (low, high) in zip(q, c.limits, strict=True)):
+            yield k, q
 
 
 def _turned(angle: float) -> float:

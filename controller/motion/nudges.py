@@ -344,10 +344,8 @@ def _contact(fingers: Array, along: Array, beside: Array, aside: float) -> tuple
 
 
 def _rim(hull: Array) -> Array:
-    """Points (N, 2) along a hull's sides, its corners among them."""
-    closed = np.vstack([hull, hull[:1]])
-    share = np.linspace(0.0, 1.0, 9)[:, None, None]
-    return np.asarray((closed[:-1] * (1.0 - share) + closed[1:] * share).reshape(-1, 2))
+    """Points (N, 2) every 2 mm along a hull's sides, and its corners."""
+    return np.vstack([hull, grasps.dense(hull)])
 
 
 def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:

@@ -36,28 +36,23 @@ class Leg:
         bends: Whether the curve is not straight in joint space.
         length: Length at full joint speed, s.
         travel: Two ndarrays of the same shape: parameters, and how far the grasp point has come there, mm.
+        start: Joint angles at its start: ndarray of shape (J,), rad.
+        end: Joint angles at its end: ndarray of shape (J,), rad.
     """
 
     curve: Callable[[Array], Array]
     bends: bool
     length: float
     travel: tuple[Array, Array]
-
-    @property
-    def start(self) -> Array:
-        """Joint angles at its start: ndarray of shape (J,), rad."""
-        return np.asarray(self.curve(np.zeros(1))[0])
-
-    @property
-    def end(self) -> Array:
-        """Joint angles at its end: ndarray of shape (J,), rad."""
-        return np.asarray(self.curve(np.ones(1))[0])
+    start: Array
+    end: Array
 
     def reversed(self) -> Leg:
         """The same way back."""
         t, way = self.travel
         curve = self.curve
-        return Leg(lambda t: curve(1.0 - t), self.bends, self.length, (1.0 - t[::-1], way[-1] - way[::-1]))
+        back = 1.0 - t[::-1], way[-1] - way[::-1]
+        return Leg(lambda t: curve(1.0 - t), self.bends, self.length, back, self.end, self.start)
 
     def frame(self, at: float) -> tuple[Array, Array, Array]:
         """Joint angles and their first and second derivative by the parameter, each (J,)."""
@@ -97,7 +92,7 @@ def line(arm: ArmDescription, start: Array, end: Array) -> Leg:
     t = np.linspace(0.0, 1.0, 17)
     way = points(arm, curve(t))[:, 3]
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    return Leg(curve, False, float(np.linalg.norm(delta / speed_limits(arm))), (t, travel))
+    return Leg(curve, False, float(np.linalg.norm(delta / speed_limits(arm))), (t, travel), start, end)
 
 
 def stroke(arm: ArmDescription, posture: Array, rise: float) -> Leg:
@@ -143,7 +138,8 @@ def straight(arm: ArmDescription, posture: Array, by: Array) -> Leg:
             "move the part or the bin nearer, or step another way",
         )
     length = float(np.linalg.norm(np.diff(q, axis=0) / speed_limits(arm), axis=1).sum())
-    return Leg(lambda t: solve(t)[0], True, length, (np.array([0.0, 1.0]), np.array([0.0, distance])))
+    travel = np.array([0.0, 1.0]), np.array([0.0, distance])
+    return Leg(lambda t: solve(t)[0], True, length, travel, q[0], q[-1])
 
 
 def branch_of(arm: ArmDescription, posture: Array) -> tuple[float, float, int]:

@@ -27,17 +27,15 @@ from controller.errors import LimitViolation, PlanError, Unreachable
 from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
-from controller.motion.kinematics import chain, points
-from controller.motion.path import Leg, join, line, straight, stroke
+from controller.motion.kinematics import points
+from controller.motion.moves import Moves
+from controller.motion.path import line, straight, stroke
 from controller.motion.postures import CLEARANCE, PART_BELOW_TIPS, Postures, Stop
-from controller.motion.trajectory import generate
 from controller.motion.view import discs, hides
 
-CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
 PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
 TOUCH_SPEED = 25.0  # mm/s: it slides on by 0.1 mm
 _LET_GO = 5.0  # mm back from a part that was touched before the jaws rise beside it
-_START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
 
 
 class Planner:
@@ -70,7 +68,7 @@ class Planner:
         self._eye = transform(self._T, np.asarray(calibration.T_table_camera, np.float64)[:3, 3])
         self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
         self._postures = Postures(arm, self.gate, calibration.error_map)
-        self._clear = self._postures.clear
+        self._moves = Moves(arm, self.gate, self._offsets, self._postures.clear, speed)
 
     @property
     def turns_jaws(self) -> bool:
@@ -81,6 +79,7 @@ class Planner:
         """The same planner at a share of its speed, in (0, 1]."""
         slow = copy(self)
         slow.speed = share * self.speed
+        slow._moves = replace(self._moves, speed=slow.speed)
         return slow
 
     # --- what the cycle asks for --------------------------------------------------------------------------
@@ -120,7 +119,7 @@ class Planner:
             Unreachable: Part or drop lies outside the reach.
             LimitViolation: The gate refuses the plan.
         """
-        q0 = self._wanted(start)
+        q0 = self._moves.start(start)
         gripper = self.arm.gripper
         near = grasps.obstacles(others, self.bins, target.center, grasps.reach_about(target, gripper))
         choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center), corners)
@@ -156,7 +155,7 @@ class Planner:
             Unreachable: Every push lies outside the reach.
             LimitViolation: The gate refuses every push.
         """
-        q0 = self._wanted(start)
+        q0 = self._moves.start(start)
         tangent = None if self.turns_jaws else self._postures.tangent
         failure: PlanError | None = None
         for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent):
@@ -185,22 +184,19 @@ class Planner:
             Unreachable: A place lies outside the reach.
             LimitViolation: The gate refuses a move.
         """
-        q0 = self._wanted(start)
+        q0 = self._moves.start(start)
         opening = self.arm.gripper.opening[0]
         height = grasps.grasp_height(part, self.arm.gripper)
         stop = self._postures.over(beside, height, None, self._postures.tangent(beside))
-        approach = self._approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), 0.0, opening, 0.0)
+        approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), 0.0, opening, 0.0)
         along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*by, 0.0]))
-        push = self._calm("touch", [along], [], TOUCH_SPEED)
+        push = self._moves.calm("touch", [along], [], TOUCH_SPEED)
         share = -_LET_GO / math.hypot(*by)
         back = straight(self.arm, along.end, self._T[:3, :3] @ np.array([*(share * by), 0.0]))
         up = stroke(self.arm, back.end, stop.rise)
         home = line(self.arm, up.end, np.array(self.arm.ready))
-        retreat = self._trajectory("retreat", [back, up, home], [(0.0, 0.0), (0.0, ways.CORNER)])
-        where = q0
-        for trajectory in (approach, push, retreat):
-            self.gate.check(trajectory, where, opening=opening)
-            where = trajectory.positions[-1]
+        retreat = self._moves.along("retreat", [back, up, home], [(0.0, 0.0), (0.0, ways.CORNER)])
+        self.gate.check_moves((push, retreat), approach.positions[-1], opening)
         return approach, push, retreat
 
     def plan_move(self, name: str, start: Array, goal: Array) -> Trajectory:
@@ -214,19 +210,7 @@ class Planner:
         Raises:
             LimitViolation: The gate refuses every way tried.
         """
-        q0 = self._wanted(start)
-        goal = np.asarray(goal, np.float64)
-        failure: LimitViolation | None = None
-        for legs, corners in ways.between(self.arm, self._clear, q0, goal):
-            trajectory = self._calm(name, legs, corners, CALM_SPEED)
-            try:
-                self.gate.check(trajectory, q0)
-            except LimitViolation as error:
-                failure = failure or error
-            else:
-                return trajectory
-        assert failure is not None
-        raise failure
+        return self._moves.between(name, self._moves.start(start), np.asarray(goal, np.float64))
 
     def home(self, start: Array) -> Trajectory:
         """To the ready pose, out of the camera's view of the work area.
@@ -302,10 +286,10 @@ class Planner:
         tall = max([target.height, *(other.height for other in others), 0.0])
         # From here down the jaws are among the parts: exactly vertical.
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
-        inside = min(max(self._clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
+        inside = min(max(self._postures.clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
         out, in_ = stroke(self.arm, pick.low, pick.rise), stroke(self.arm, place.low, place.rise)
-        approach = self._approach(q0, out.reversed(), pick.rise - straight, grasp.opening, climb)
-        carry = self._trajectory(
+        approach = self._moves.approach(q0, out.reversed(), pick.rise - straight, grasp.opening, climb)
+        carry = self._moves.along(
             "carry",
             [out, line(self.arm, pick.high, place.high), in_.reversed()],
             [(pick.rise - straight, ways.CORNER), (ways.CORNER, place.rise - inside)],
@@ -316,9 +300,9 @@ class Planner:
             goal, legs, corners = place.high, [in_], []
         else:
             legs, corners = [in_, line(self.arm, place.high, goal)], [(place.rise - inside, ways.CORNER)]
-        retreat = self._trajectory("retreat", legs, corners, payload=(self.part_mass, 0.0))
+        retreat = self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
         plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
-        self.gate.check_plan(plan, q0)
+        self.gate.check_moves((carry, retreat), approach.positions[-1], grasp.opening)
         return plan
 
     def _nudge(
@@ -330,71 +314,17 @@ class Planner:
         stop = self._postures.over(push.start, height, None, push.direction)
         tall = max([target.height, *(other.height for other in others)])
         rounded = stop.rise - min(tall + PART_BELOW_TIPS + gripper.jaw_depth - height + 2.0, stop.rise)
-        approach = self._approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)
+        approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)
         along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*push.by, 0.0]))
-        shove = self._calm("push", [along], [], PUSH_SPEED)
+        shove = self._moves.calm("push", [along], [], PUSH_SPEED)
         up = stroke(self.arm, along.end, stop.rise)
         home = line(self.arm, up.end, np.array(self.arm.ready))
-        retreat = self._trajectory("retreat", [up, home], [(rounded, ways.CORNER)])
-        where = q0
-        for trajectory in (approach, shove, retreat):
-            self.gate.check(trajectory, where, opening=opening)
-            where = trajectory.positions[-1]
+        retreat = self._moves.along("retreat", [up, home], [(rounded, ways.CORNER)])
+        self.gate.check_moves((shove, retreat), approach.positions[-1], opening)
         share = push.travel / math.hypot(*push.by)
         return NudgePlan(
             target, push.moved, (push.by[0] * share, push.by[1] * share), opening, approach, shove, retreat
         )
-
-    def _approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
-        failure: LimitViolation | None = None
-        found = (
-            ways.between(self.arm, self._clear, q0, down.start)
-            if climb <= 0.0
-            else ways.climbing(self.arm, self._clear, q0, down.start, climb)
-        )
-        for legs, corners in found:
-            last = (ways.CORNER, rounded)
-            trajectory = self._trajectory("approach", [*legs, down], [*corners, last])
-            try:
-                self.gate.check(trajectory, q0, opening=opening)
-            except LimitViolation as error:
-                failure = failure or error
-            else:
-                return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
-        assert failure is not None
-        raise failure
-
-    def _among_parts(self, approach: Trajectory, down: Leg, rounded: float) -> float:
-        """When an approach has come `rounded` mm down from the top of its descent, s."""
-        height = points(self.arm, approach.positions)[:, 3, 2]
-        top = points(self.arm, down.start[None])[0, 3, 2]
-        over = np.flatnonzero(height > top - rounded - 1.0)
-        return float(over[-1] if len(over) else 0) * approach.period
-
-    def _trajectory(
-        self,
-        name: str,
-        legs: Sequence[Leg],
-        corners: Sequence[tuple[float, float]],
-        payload: tuple[float, float] = (0.0, 0.0),
-    ) -> Trajectory:
-        path = join(self.arm, legs, corners)
-        return generate(self.arm, path, name, speed=self.speed, joint_offsets=self._offsets, payload=payload)
-
-    def _calm(
-        self, name: str, legs: Sequence[Leg], corners: Sequence[tuple[float, float]], limit: float
-    ) -> Trajectory:
-        """A trajectory slowed so far that the tool, swung out on a stretched arm, keeps a speed limit (mm/s)."""
-        path = join(self.arm, legs, corners)
-        speed = self.speed
-        while True:
-            trajectory = generate(self.arm, path, name, speed=speed, joint_offsets=self._offsets)
-            way = points(self.arm, trajectory.positions)[:, 3]
-            top = float(np.linalg.norm(np.diff(way, axis=0), axis=1).max(initial=0.0)) / trajectory.period
-            if top <= limit:
-                return trajectory
-            # A little more than in proportion: smoothing takes less off the peak of a slower move.
-            speed *= 0.98 * limit / top
 
     def _waypoints(self, pick: Stop, place: Stop, finish: Array) -> tuple[Waypoint, ...]:
         T_table_base = invert(self._T)
@@ -408,21 +338,3 @@ class Planner:
     def _flat(self, outline: Array) -> Array:
         """An outline (N, 2) of the table's surface, given in `table`, in `base`."""
         return transform(self._T, np.column_stack([outline, np.zeros(len(outline))]))[:, :2]
-
-    def _wanted(self, measured: Array) -> Array:
-        """Joint angles without the calibrated offsets; a hair outside a limit counts as at it.
-
-        Raises:
-            LimitViolation: A joint stands outside its limits.
-        """
-        q = np.asarray(measured, np.float64) - self._offsets
-        c = chain(self.arm)
-        clipped = np.clip(q, c.low, c.high)
-        for joint, value, inside in zip(self.arm.joints, q, clipped, strict=True):
-            if not abs(value - inside) <= _START_CLIP:
-                limit = math.degrees(inside)
-                raise LimitViolation(
-                    f"{joint.name} stands at {math.degrees(value):.1f} deg, limit {limit:.1f} deg",
-                    "move it inside by hand with torque off",
-                )
-        return clipped

@@ -16,7 +16,7 @@ from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
 from controller.motion import grasps
 from controller.motion.gate import WALL_MARGIN, Gate
-from controller.motion.kinematics import TOP_DOWN, chain, closing_direction, inverse, roll_for, solutions
+from controller.motion.kinematics import FACING_UP, TOP_DOWN, chain, closing_direction, inverse, roll_for, solutions
 from controller.motion.path import speed_limits
 
 # Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
@@ -92,7 +92,7 @@ class Postures:
         roll = min(rolls, key=abs)
         for pitch in PITCHES:
             ends = [
-                next((q for k, q in solutions(arm, place, pitch, roll, within=True) if k == 0), None)
+                next((q for k, q in solutions(arm, place, pitch, roll, within=True) if k == FACING_UP), None)
                 for place in (position, position + np.array([0.0, 0.0, rise]))
             ]
             # A stretched arm would have to move infinitely fast along the stroke.

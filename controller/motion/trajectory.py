@@ -74,29 +74,38 @@ def fastest(path: Path, speeds: Array, accelerations: Array) -> Timing:
         gain = np.where(divisor > 0.0, 1.0 / divisor, 0.0)
         bias = np.where(divisor > 0.0, 2.0 * step * reach / divisor, np.inf)
     best = ceiling.tolist()
-    gains, biases = gain.tolist(), bias.tolist()
     best[-1] = 0.0
+    bounds = _lowest(gain[:-1], bias[:-1], ceiling[1:])
     for k in range(count - 2, -1, -1):
         ahead = best[k + 1]
-        limit = best[k]
-        for g, b in zip(gains[k], biases[k], strict=True):
-            value = ahead * g + b
-            limit = min(value, limit)
-        best[k] = limit
+        for g, b in bounds[k]:
+            best[k] = min(ahead * g + b, best[k])
     # Forward: accelerate as hard as the joints allow, never above that.
-    gains, biases = (1.0 - 2.0 * step * ratio).tolist(), (2.0 * step * reach).tolist()
     best[0] = 0.0
+    bounds = _lowest(1.0 - 2.0 * step * ratio[:-1], 2.0 * step * reach[:-1], ceiling[:-1])
     for k in range(count - 1):
         here = best[k]
-        limit = best[k + 1]
-        for g, b in zip(gains[k], biases[k], strict=True):
-            value = here * g + b
-            limit = min(value, limit)
-        best[k + 1] = max(limit, 0.0)
+        for g, b in bounds[k]:
+            best[k + 1] = min(here * g + b, best[k + 1])
+        best[k + 1] = max(best[k + 1], 0.0)
     rates = np.sqrt(best)
     pairs = rates[1:] + rates[:-1]
     times = np.concatenate([[0.0], np.cumsum(2.0 * step / np.maximum(pairs, 1e-9))])
     return Timing(times, grid, rates)
+
+
+def _lowest(gains: Array, biases: Array, top: Array) -> list[list[tuple[float, float]]]:
+    """Of the lines gain * x + bias, one for each joint, those that may be the lowest somewhere in 0 <= x <= top.
+
+    Gains and biases (N, J), tops (N,). A line that is lowest at both ends is so in between.
+    """
+    first = biases.argmin(axis=1)
+    last = (gains * top[:, None] + biases).argmin(axis=1)
+    rows = np.arange(len(gains))
+    lines = [[line] for line in zip(gains[rows, first].tolist(), biases[rows, first].tolist(), strict=True)]
+    for k in np.flatnonzero(first != last):
+        lines[k] = list(zip(gains[k].tolist(), biases[k].tolist(), strict=True))
+    return lines
 
 
 def generate(
@@ -135,17 +144,23 @@ def generate(
         stretch *= over
     ahead = np.minimum(index + round(dynamics.lead(PERIOD) / _FINE), len(phase) - 1)
     q, qd, qdd = _along(path, phase[ahead], rate[ahead], gain[ahead])
-    share = np.clip(ahead * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
-    goals = q + dynamics.offset(arm, q, qd, qdd, payload[0] + (payload[1] - payload[0]) * share)
-    none = np.zeros_like(q)
-    held = payload[0] + (payload[1] - payload[0]) * np.clip(index * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
-    sag = dynamics.offset(arm, positions, none, none, held)
-    resting = positions + sag
     speed_now = np.asarray(path.spline(phase[index], 1)) * rate[index][:, None]
-    braking = dynamics.offset(arm, positions, none, speed_now, held) - sag
-    if joint_offsets is not None:
-        goals += joint_offsets
-        resting += joint_offsets
+    none = np.zeros_like(q)
+    blend = np.clip(np.concatenate([ahead, index, index]) * _FINE / PAYLOAD_BLEND, 0.0, 1.0)
+    needed, sag, inertia = np.split(
+        dynamics.offset(
+            arm,
+            np.concatenate([q, positions, positions]),
+            np.concatenate([qd, none, none]),
+            np.concatenate([qdd, none, speed_now]),
+            payload[0] + (payload[1] - payload[0]) * blend,
+        ),
+        3,
+    )
+    servo_zero = np.zeros(len(limits[0])) if joint_offsets is None else joint_offsets
+    goals = q + needed + servo_zero
+    resting = positions + sag + servo_zero
+    braking = inertia - sag
     for array in (positions, goals, resting, braking):
         array.setflags(write=False)
     return Trajectory(name, PERIOD, positions, goals, resting, braking)

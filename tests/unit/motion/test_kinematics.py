@@ -36,7 +36,7 @@ def test_every_solution_leads_back_to_the_pose(name: str, shares: list[float]) -
     level = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     turn = level.T @ local @ tool[:3, :3]
     roll = math.atan2(turn[2, 1], turn[1, 1])
-    solved = kinematics.solutions(arm, place, pitch, roll, within=False)
+    solved = list(kinematics.solutions(arm, place, pitch, roll, within=False))
     for _, found in solved:
         again = kinematics.forward(arm, np.array(found))
         assert np.abs(again[:3, 3] - place).max() < 1e-6

@@ -1,0 +1,138 @@
+"""Legs made into moves: rounded, timed, with the model's offset, and on ways that the gate lets pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controller.domain import ArmDescription, Array, Trajectory
+from controller.errors import LimitViolation
+from controller.motion import ways
+from controller.motion.gate import Gate
+from controller.motion.kinematics import chain, points
+from controller.motion.path import Leg, join
+from controller.motion.trajectory import generate
+
+CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
+_START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
+    """Makes the moves of one arm in one cell.
+
+    Attributes:
+        arm: The arm.
+        gate: What it may not do.
+        offsets: ndarray of shape (J,): calibrated joint offsets, rad.
+        clear: Height of the grasp point (mm, `base`) that passes over everything.
+        speed: Share of the arm's speed limits, in (0, 1].
+    """
+
+    arm: ArmDescription
+    gate: Gate
+    offsets: Array
+    clear: float
+    speed: float = 1.0
+
+    def start(self, measured: Array) -> Array:
+        """Measured joint angles (J,) without the calibrated offsets; a hair outside a limit counts as at it.
+
+        Raises:
+            LimitViolation: A joint stands outside its limits.
+        """
+        q = np.asarray(measured, np.float64) - self.offsets
+        c = chain(self.arm)
+        clipped = np.clip(q, c.low, c.high)
+        for joint, value, inside in zip(self.arm.joints, q, clipped, strict=True):
+            if not abs(value - inside) <= _START_CLIP:
+                limit = math.degrees(inside)
+                raise LimitViolation(
+                    f"{joint.name} stands at {math.degrees(value):.1f} deg, limit {limit:.1f} deg",
+                    "move it inside by hand with torque off",
+                )
+        return clipped
+
+    def along(
+        self,
+        name: str,
+        legs: Sequence[Leg],
+        corners: Sequence[tuple[float, float]],
+        payload: tuple[float, float] = (0.0, 0.0),
+    ) -> Trajectory:
+        """As fast as the joints allow along legs; arguments as of `path.join` and `trajectory.generate`."""
+        path = join(self.arm, legs, corners)
+        return generate(self.arm, path, name, speed=self.speed, joint_offsets=self.offsets, payload=payload)
+
+    def calm(
+        self, name: str, legs: Sequence[Leg], corners: Sequence[tuple[float, float]], limit: float
+    ) -> Trajectory:
+        """Slowed so far that the tool, swung out on a stretched arm, keeps a speed limit (mm/s)."""
+        path = join(self.arm, legs, corners)
+        speed = self.speed
+        while True:
+            trajectory = generate(self.arm, path, name, speed=speed, joint_offsets=self.offsets)
+            way = points(self.arm, trajectory.positions)[:, 3]
+            top = float(np.linalg.norm(np.diff(way, axis=0), axis=1).max(initial=0.0)) / trajectory.period
+            if top <= limit:
+                return trajectory
+            # A little more than in proportion: smoothing takes less off the peak of a slower move.
+            speed *= 0.98 * limit / top
+
+    def between(self, name: str, q0: Array, goal: Array) -> Trajectory:
+        """From a pose (J,) to another, rad, over a safe height where the direct way passes low; approved.
+
+        Raises:
+            LimitViolation: The gate refuses every way tried.
+        """
+        failure: LimitViolation | None = None
+        for legs, corners in ways.between(self.arm, self.clear, q0, goal):
+            trajectory = self.calm(name, legs, corners, CALM_SPEED)
+            try:
+                self.gate.check(trajectory, q0)
+            except LimitViolation as error:
+                failure = failure or error
+            else:
+                return trajectory
+        assert failure is not None
+        raise failure
+
+    def approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
+        """From a pose to the top of a stroke and down; approved.
+
+        Args:
+            q0: ndarray of shape (J,): where it begins, rad.
+            down: The stroke.
+            rounded: mm of the stroke that the way there is rounded into.
+            opening: Clear opening of the jaws, mm.
+            climb: mm that the way begins straight up.
+
+        Raises:
+            LimitViolation: The gate refuses every way tried.
+        """
+        failure: LimitViolation | None = None
+        found = (
+            ways.between(self.arm, self.clear, q0, down.start)
+            if climb <= 0.0
+            else ways.climbing(self.arm, self.clear, q0, down.start, climb)
+        )
+        for legs, corners in found:
+            trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
+            try:
+                self.gate.check(trajectory, q0, opening=opening)
+            except LimitViolation as error:
+                failure = failure or error
+            else:
+                return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
+        assert failure is not None
+        raise failure
+
+    def _among_parts(self, approach: Trajectory, down: Leg, rounded: float) -> float:
+        """When an approach has come `rounded` mm down from the top of its descent, s."""
+        height = points(self.arm, approach.positions)[:, 3, 2]
+        top = points(self.arm, down.start)[3, 2]
+        over = np.flatnonzero(height > top - rounded - 1.0)
+        return float(over[-1] if len(over) else 0) * approach.period
