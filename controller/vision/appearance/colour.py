@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -152,17 +151,16 @@ def _card(image: Image, rectangle: tuple[int, int, int, int]) -> tuple[Floats32,
 
 def _samples(surface: Tiles) -> NDArray[np.uint8]:
     """SAMPLES pixels (N, n, 3) of each part's material, spread evenly, without glare unless there is little else."""
-    codes = surface.shown.reshape(-1, 3)
+    planes = surface.planes.reshape(3, -1)
     chosen = surface.material.reshape(-1, SIDE * SIDE)
-    bright = cv2.inRange(surface.shown.reshape(-1, SIDE, 3), (_GLARE,) * 4, (255,) * 4).reshape(chosen.shape)
-    matt = chosen & (bright == 0)
+    matt = chosen & (planes.min(axis=0) < _GLARE).reshape(chosen.shape)
     dull = 2 * counts(matt) >= counts(chosen)
     chosen = np.where(dull[:, None], matt, chosen)
     places = np.flatnonzero(chosen)
     count = counts(chosen)
     first = np.cumsum(count) - count
     ranks = np.arange(SAMPLES) * count[:, None] // SAMPLES
-    return np.take(codes, places[first[:, None] + ranks], axis=0)
+    return np.take(planes, places[first[:, None] + ranks], axis=1).transpose(1, 2, 0)
 
 
 def _medians(lab: Floats32) -> Floats32:

@@ -39,7 +39,7 @@ LENGTH = len(BANDS) + 1 + 2 + 6 + _PATTERNS * 2
 
 def descriptors(surface: Tiles) -> Floats32:
     """(N, LENGTH) texture descriptors of tiles."""
-    count = len(surface.shown)
+    count = len(surface.which)
     if not count:
         return np.empty((0, LENGTH), np.float32)
     # From here on tiles stand side by side, (SIDE, N, SIDE): long rows are what OpenCV and BLAS are quick on.
@@ -134,11 +134,11 @@ def _shades(surface: Tiles) -> Floats32:
 
     Slow shading, a plane across the part, is taken out; outside the material it is 0.
     """
-    count = len(surface.shown)
+    count = len(surface.which)
     keep = surface.material.reshape(count, -1).astype(np.float32)
     weight = np.maximum(keep.sum(axis=1), 1.0)
     # (3, N, SIDE * SIDE): blue, green and red.
-    values = np.array(cv2.split(surface.shown.reshape(-1, SIDE, 3)), np.float32).reshape(3, count, -1)
+    values = surface.planes.reshape(3, count, -1).astype(np.float32)
     mean = (values.transpose(1, 0, 2) @ keep[:, :, None])[:, :, 0].T / weight
     values -= mean[:, :, None]
     values *= keep / np.float32(255.0)

@@ -1,7 +1,8 @@
 """Parts brought to one size, so that everything about their surface is computed for all of them at once.
 
 A tile shows the part's middle, `WINDOW` times the root of its area wide, on `SIDE` x `SIDE` pixels, unturned.
-Whatever is said of a tile has to be invariant to rotation; scale is relative to the part.
+Whatever is said of a tile has to be invariant to rotation; scale is relative to the part. A part's form reaches
+further out, and is kept on a wider field of the same fineness.
 """
 
 from __future__ import annotations
@@ -15,17 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.domain import Detection
-from controller.vision.appearance.hole import blob_like_table, counts, like_table, may_show_table
+from controller.vision.appearance.hole import counts, holes
 from controller.vision.appearance.rings import SHIFT, Rings
 from controller.vision.appearance.surroundings import surroundings
 
 Image = NDArray[np.uint8]
 Floats32 = NDArray[np.float32]
+Masks = NDArray[np.bool_]
 
 SIDE = 32
-_MIDDLE = (SIDE - 1) / 2.0
 WINDOW = 1.3
 """A square's half diagonal lies 0.71, a circle's radius 0.56 roots of its area from the middle."""
+FIELD = 70
+"""Pixels of the wider field: the ends of a part four times as long as wide lie one root from its middle."""
+_CORE = slice((FIELD - SIDE) // 2, (FIELD + SIDE) // 2)
+"""Where a tile lies in the field."""
+_MIDDLE = (SIDE - 1) / 2.0
 _RIM = 0.07
 """How far inside the outline the material is looked at, share of the short side: beyond blur and side faces' edge."""
 _LEAST_RIM = 1.5
@@ -47,22 +53,20 @@ class Tiles:
     Attributes:
         which: Index of each among the detections.
         detections: The parts.
-        shown: ndarray of shape (N, SIDE, SIDE, 3), dtype uint8, BGR.
-        solid: ndarray of shape (N, SIDE, SIDE), dtype bool: where the part is.
+        planes: ndarray of shape (3, N, SIDE, SIDE), dtype uint8: blue, green and red.
         material: ndarray of shape (N, SIDE, SIDE), dtype bool: where its material is seen, away from edges and holes.
         table: ndarray of shape (N, 3), dtype float32: BGR codes of the empty table around each.
-        holed: Of each whether the table shows through it.
-        alike: ndarray of shape (N, 2, 3): lowest and highest BGR codes that show the table.
+        form: ndarray of shape (N, FIELD, FIELD), dtype uint8: 255 where the part is, 0 elsewhere and in its hole.
+        hole: ndarray of shape (N,): share of the outline where the table shows through.
     """
 
     which: tuple[int, ...]
     detections: tuple[Detection, ...]
-    shown: Image
-    solid: NDArray[np.bool_]
-    material: NDArray[np.bool_]
+    planes: Image
+    material: Masks
     table: Floats32
-    holed: tuple[bool, ...]
-    alike: Floats32
+    form: NDArray[np.uint8]
+    hole: NDArray[np.float64]
 
 
 def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
@@ -80,37 +84,32 @@ def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
     scales = np.array([SIDE / (WINDOW * math.sqrt(max(item.area_px, 1.0))) for item in chosen])
     rims = np.array([max(_LEAST_RIM, _RIM * item.size_px[1]) for item in chosen]) * scales
     shown = np.empty((count, SIDE, SIDE, 3), np.uint8)
-    solid = np.zeros((count, SIDE, SIDE), np.uint8)
-    # Where the middle of a tile lies is where the middle of its part does.
-    corners = middles - _MIDDLE / scales[:, None]
+    form = np.zeros((count, FIELD, FIELD), np.uint8)
+    # Where the middle of the field lies is where the middle of its part does.
+    corners = middles - 0.5 * (FIELD - 1) / scales[:, None]
     outlines = rings.drawn(corners, scales, within=(image.shape[1], image.shape[0]))
     for k, (outline, scale) in enumerate(zip(outlines, scales.tolist(), strict=True)):
         _show(image, chosen[k].center_px, scale, shown[k])
-        cv2.fillPoly(solid[k], [outline], (255,), shift=SHIFT)
+        cv2.fillPoly(form[k], [outline], (255,), cv2.LINE_AA, SHIFT)
+    planes = np.array(cv2.split(shown.reshape(-1, SIDE, 3))).reshape(3, -1, SIDE, SIDE)
     table = surroundings(image, chosen, rings)
-    material = _eroded(solid, np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))
-    enough = counts(material > 0) >= _FEW
-    material[~enough] = solid[~enough]
-    holed = np.zeros(count, bool)
-    alike = like_table(shown, material > 0, table, ["hole" in item.flags for item in chosen])
-    for k in np.flatnonzero(may_show_table(shown, material > 0, alike)).tolist():
-        hole = blob_like_table(shown[k], material[k], alike[k])
-        if hole is not None:
-            holed[k] = True
-            solid[k] &= ~hole
-            clear = material[k] & ~np.asarray(cv2.dilate(hole, _NEIGHBOURS), np.uint8)
-            material[k] = clear if cv2.countNonZero(clear) >= _FEW else material[k] & ~hole
-    inside = material > 0
-    keep = np.flatnonzero((counts(solid > 0) >= _FEW) & (counts(inside) > 0))
+    solid = form[:, _CORE, _CORE] > 127
+    material = _eroded(solid.view(np.uint8), np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))
+    few = counts(material) < _FEW
+    material[few] = solid[few]
+    hole = holes(planes, material, table, ["hole" in item.flags for item in chosen])
+    material = _without(material, hole)
+    share = counts(hole) / np.maximum(counts(form > 127), 1)
+    form[:, _CORE, _CORE][hole] = 0
+    keep = np.flatnonzero((counts(solid & ~hole) >= _FEW) & (counts(material) > 0))
     return Tiles(
         tuple(which[k] for k in keep),
         tuple(chosen[k] for k in keep),
-        shown[keep],
-        solid[keep] > 0,
-        inside[keep],
+        planes[:, keep],
+        material[keep],
         table[keep],
-        tuple(bool(holed[k]) for k in keep),
-        alike[keep],
+        form[keep],
+        share[keep],
     )
 
 
@@ -133,14 +132,23 @@ def _show(image: Image, middle: tuple[float, float], scale: float, out: Image) -
     cv2.warpAffine(image, matrix, (SIDE, SIDE), dst=out, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> NDArray[np.uint8]:
+def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> Masks:
     """The masks (N, SIDE, SIDE) with each rim taken off, px; what a tile's edge cuts counts as going on."""
-    out = np.empty_like(masks)
+    out = np.empty(masks.shape, bool)
     # Side by side, (SIDE, N, SIDE + gap): long rows are what OpenCV is quick on.
-    padded = np.full((SIDE, len(masks), SIDE + 2 * _MOST_RIM), 255, np.uint8)
+    padded = np.ones((SIDE, len(masks), SIDE + 2 * _MOST_RIM), np.uint8)
     padded[:, :, _MOST_RIM:-_MOST_RIM] = masks.transpose(1, 0, 2)
     for rim in set(rims.tolist()):
         thin = np.asarray(cv2.erode(padded.reshape(SIDE, -1), _RIMS[rim]), np.uint8).reshape(padded.shape)
         own = rims == rim
-        out[own] = thin[:, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2)
+        out[own] = thin[:, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2) > 0
     return out
+
+
+def _without(material: Masks, hole: Masks) -> Masks:
+    """The material (N, SIDE, SIDE) without the holes and, where that leaves enough of it, without their rims."""
+    rim = np.zeros_like(hole)
+    for k in np.flatnonzero(hole.any(axis=(1, 2))):
+        rim[k] = np.asarray(cv2.dilate(hole[k].view(np.uint8), _NEIGHBOURS)) > 0
+    clear = material & ~rim
+    return np.where((counts(clear) >= _FEW)[:, None, None], clear, material & ~hole)

@@ -17,17 +17,16 @@ from controller.domain import Detection
 from controller.geometry import PlaneMap
 from controller.vision.appearance.look import Surfaces
 from controller.vision.appearance.texture import LENGTH as TEXTURE_LENGTH
-from controller.vision.appearance.tiles import SIDE, WINDOW, Tiles
-from controller.vision.classes.silhouette import Silhouette, silhouettes
+from controller.vision.appearance.tiles import FIELD, SIDE, WINDOW, Tiles
 
 Floats32 = NDArray[np.float32]
 
-VERSION = 3
+VERSION = 4
 """Changes whenever a figure's meaning does: classes taught with another version have to be taught again."""
 
 _RINGS, _ANGLES, _HARMONICS = 14, 64, 12
 _REACH = 1.4
-"""Circles reach this many roots of the area from the middle: the ends of a part four times as long as wide lie at 1."""
+"""Circles reach this many roots of the area from the middle, as far as the field does."""
 _PRINT_RINGS, _PRINT_HARMONICS = 7, 7
 
 BLOCKS: Mapping[str, int] = {
@@ -61,10 +60,8 @@ def features(detections: Sequence[Detection], surfaces: Surfaces, plane: PlaneMa
         return np.empty((0, LENGTH), np.float32)
     chosen = [detections[k] for k in surfaces.which]
     seen = surfaces.tiles
-    forms = silhouettes(surfaces.image, seen)
-    grids = np.stack([_circles(item, form) for item, form in zip(chosen, forms, strict=True)])
-    outline = _strengths(_OUTLINE_WAVES @ grids.astype(np.float32) @ _PAIRS, _HARMONICS)
-    form = np.array([_form(item, form) for item, form in zip(chosen, forms, strict=True)])
+    outline = _strengths(_OUTLINE_WAVES @ _circles(seen.form).astype(np.float32) @ _PAIRS, _HARMONICS)
+    form = np.array([(*_proportions(item), hole) for item, hole in zip(chosen, seen.hole.tolist(), strict=True)])
     size = np.log(np.sqrt([max(item.area_px, 1.0) for item in chosen]) * _scales(chosen, plane))
     colour = np.array([seen.lab for seen in surfaces.colours])
     parts = (outline, form, size[:, None], colour, surfaces.textures, _print(seen))
@@ -99,20 +96,32 @@ def _scales(detections: Sequence[Detection], plane: PlaneMap | None) -> NDArray[
     return np.asarray(np.sqrt(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])))
 
 
-def _circles(item: Detection, form: Silhouette) -> NDArray[np.uint8]:
-    """(ANGLES, 2 * RINGS): how much of the part lies at each place of a polar grid, 0 to 255."""
-    (x, y), (left, top) = item.center_px, form.corner
-    reach = _REACH * math.sqrt(max(item.area_px, 1.0))
-    # Without the flag, what lies outside the cut would be whatever the memory held.
-    how = cv2.WARP_POLAR_LINEAR | cv2.WARP_FILL_OUTLIERS
-    return np.asarray(cv2.warpPolar(form.solid, (2 * _RINGS, _ANGLES), (x - left, y - top), reach, how), np.uint8)
+def _polar() -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+    """Where the polar grid (ANGLES, 2 * RINGS) lies in the field, as OpenCV's `remap` is quickest on."""
+    angle = np.arange(_ANGLES)[:, None] * (2.0 * math.pi / _ANGLES)
+    radius = np.arange(2 * _RINGS) * (_REACH / (2 * _RINGS) * SIDE / WINDOW)
+    middle = (FIELD - 1) / 2.0
+    x, y = (middle + radius * np.cos(angle)).astype(np.float32), (middle + radius * np.sin(angle)).astype(np.float32)
+    places, weights = cv2.convertMaps(x, y, cv2.CV_16SC2)
+    return np.asarray(places, np.int16), np.asarray(weights, np.uint16)
 
 
-def _form(item: Detection, form: Silhouette) -> tuple[float, float, float]:
-    """Logarithm of the aspect, share of the hull that is filled, share of the outline that is hole."""
+_POLAR = _polar()
+
+
+def _circles(forms: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(n, ANGLES, 2 * RINGS): how much of parts (n, FIELD, FIELD) lies at each place of a polar grid, 0 to 255."""
+    out = np.empty((len(forms), _ANGLES, 2 * _RINGS), np.uint8)
+    for form, grid in zip(forms, out, strict=True):
+        cv2.remap(form, *_POLAR, cv2.INTER_LINEAR, dst=grid)
+    return out
+
+
+def _proportions(item: Detection) -> tuple[float, float]:
+    """Logarithm of the aspect, and share of the hull that is filled."""
     hull = float(cv2.contourArea(cv2.convexHull(item.outline_px.astype(np.float32))))
     long, short = item.size_px
-    return math.log(max(long, 1.0) / max(short, 1.0)), item.area_px / max(hull, 1.0), form.hole
+    return math.log(max(long, 1.0) / max(short, 1.0)), item.area_px / max(hull, 1.0)
 
 
 def _print_waves() -> Floats32:
@@ -135,6 +144,8 @@ def _print_waves() -> Floats32:
 
 
 _PRINT_WAVES = _print_waves()
+_BRIGHTNESS = np.array([0.114, 0.587, 0.299], np.float32)
+"""Weights of blue, green and red."""
 
 
 def _print(surface: Tiles) -> Floats32:
@@ -142,10 +153,9 @@ def _print(surface: Tiles) -> Floats32:
 
     Brightness is relative to the part's mean, and counts only on its material: light and edges leave it alone.
     """
-    count = len(surface.shown)
+    count = len(surface.which)
     inside = surface.material.reshape(count, -1).astype(np.float32)
-    shown = surface.shown.reshape(-1, SIDE, 3).astype(np.float32)
-    values = np.asarray(cv2.cvtColor(shown, cv2.COLOR_BGR2GRAY), np.float32).reshape(count, -1)
+    values = (_BRIGHTNESS @ surface.planes.reshape(3, -1).astype(np.float32)).reshape(count, -1)
     mean = np.einsum("ni,ni->n", values, inside) / np.maximum(inside.sum(axis=1), 1.0)
     relative = (values / np.maximum(mean, 8.0)[:, None] - 1.0) * inside
     waves = (relative @ _PRINT_WAVES).reshape(count, -1, _PRINT_RINGS)
