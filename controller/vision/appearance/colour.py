@@ -26,7 +26,7 @@ from controller.vision.appearance.tiles import SIDE, Tiles
 
 Image = NDArray[np.uint8]
 
-SAMPLES = 144
+SAMPLES = 100
 """Pixels looked at of each part: their median is good to a tenth of the pixels' own noise."""
 _GLARE = 250
 """A pixel whose darkest channel is this bright shows the lamp, not the part."""

@@ -54,7 +54,7 @@ def _steps(
     planes: Planes, material: Masks, table: NDArray[np.float32], flagged: NDArray[np.intp]
 ) -> NDArray[np.float32]:
     """(N,) codes by which the table within a hole may differ from the table around the part."""
-    step = np.maximum(_ALIKE * table.max(axis=1, initial=0.0), _LEAST_STEP)
+    step: NDArray[np.float32] = np.maximum(_ALIKE * table.max(axis=1, initial=0.0), _LEAST_STEP)
     if len(flagged):
         # What is nearer to the table than to the part shows the table, however uneven the light.
         thin = slice(None, None, _THIN)

@@ -16,7 +16,7 @@ _COARSE = 4
 _WIDER = 0.6
 """The table's colour is taken this share of the part's size around it."""
 _ENOUGH = 12
-_GRID = 14
+_GRID = 10
 """The table is looked at where the lines of a grid of so many cross."""
 _SHARE = (np.arange(_GRID) + 0.5) / _GRID
 _NEIGHBOURS = np.ones((3, 3), np.uint8)

@@ -3,7 +3,7 @@
 The surface is reduced to the one colour direction in which it varies most, so that red on green counts like black
 on white; its sign is chosen so that the rarer shade is the brighter. The descriptor holds contrast in four bands,
 how much gradients agree in direction (stripes) and in right angles (checks), the shape of the shades' distribution,
-and histograms of local binary patterns at two radii.
+and histograms of local binary patterns at two finenesses.
 
 Source: Ojala, Pietikainen and Maenpaa, "Multiresolution gray-scale and rotation invariant texture classification
 with local binary patterns", IEEE Trans. PAMI 24(7), 2002; structure tensor: Bigun and Granlund, ICCV 1987.
@@ -11,7 +11,6 @@ with local binary patterns", IEEE Trans. PAMI 24(7), 2002; structure tensor: Big
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -29,8 +28,9 @@ Floats32 = NDArray[np.float32]
 
 BANDS = (0.8, 1.6, 3.2, 6.4)
 """Standard deviations of the Gaussians between which contrast is measured, px of a tile."""
-RADIUS = 1.5
-"""Of the local binary patterns, px of a tile and of one half as fine."""
+REACH = 2
+"""Of the local binary patterns, px of a tile and of one half as fine: they compare a pixel with the eight on a circle
+of radius 1.5 around it, between two pixels along the axes and one pixel off (1.4) across."""
 FLOOR = 0.01
 """Contrast below which nothing is told apart: 1 % of the range of codes is a good camera's noise."""
 _PATTERNS = 10
@@ -87,11 +87,10 @@ def _deep(material: NDArray[np.uint8]) -> Floats32:
     """1 where what is computed from a neighbourhood stays within the material (SIDE, N, SIDE) and the tile, else 0."""
     deep = np.asarray(cv2.erode(material.reshape(SIDE, -1), np.ones((3, 3), np.uint8)), np.float32)
     deep = deep.reshape(material.shape)
-    # Tiles stand beside one another when patterns are read: no column near another tile counts.
-    reach = 2 * math.ceil(RADIUS)
-    deep[:, :, :reach] = 0.0
-    deep[:, :, -reach:] = 0.0
-    deep[[0, -1]] = 0.0
+    # Tiles stand beside one another when patterns are read: no column near another tile counts, nor such a row.
+    reach = 2 * REACH
+    deep[:, :, :reach] = deep[:, :, -reach:] = 0.0
+    deep[:reach] = deep[-reach:] = 0.0
     return deep
 
 
@@ -161,10 +160,9 @@ def _shades(surface: Tiles) -> Floats32:
 
 def _agreement(values: Floats32, deep: Floats32) -> list[Floats32]:
     """How much gradients of tiles (h, N, w) share one axis, and one pair of axes, 0 to 1."""
-    dx = np.zeros_like(values)
-    dy = np.zeros_like(values)
-    np.subtract(values[:, :, 2:], values[:, :, :-2], out=dx[:, :, 1:-1])
-    np.subtract(values[2:], values[:-2], out=dy[1:-1])
+    dx = values[1:-1, :, 2:] - values[1:-1, :, :-2]
+    dy = values[2:, :, 1:-1] - values[:-2, :, 1:-1]
+    deep = deep[1:-1, :, 1:-1]
     square = dx * dx - dy * dy
     cross = 2.0 * dx * dy
     squared, crossed = square * square, cross * cross
@@ -178,24 +176,6 @@ def _agreement(values: Floats32, deep: Floats32) -> list[Floats32]:
     return [np.asarray(one, np.float32), np.asarray(np.hypot(real, imaginary) / total, np.float32)]
 
 
-def _kernels(radius: float) -> list[NDArray[np.float32]]:
-    """Eight kernels that read the values at equal angles on a circle, between pixels, less the middle's."""
-    reach = math.ceil(radius)
-    out = []
-    for k in range(8):
-        x, y = radius * math.cos(k * math.pi / 4.0), radius * math.sin(k * math.pi / 4.0)
-        kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
-        i, j = math.floor(y), math.floor(x)
-        u, v = y - i, x - j
-        for di, dj, share in ((0, 0, (1 - u) * (1 - v)), (0, 1, (1 - u) * v), (1, 0, u * (1 - v)), (1, 1, u * v)):
-            if share > 1e-9:
-                kernel[reach + i + di, reach + j + dj] += share
-        kernel[reach, reach] -= 1.0
-        out.append(kernel)
-    return out
-
-
-_CIRCLE = _kernels(RADIUS)
 _LEAST_STEP = 0.15
 """A neighbour counts as brighter when it is so by this share of the texture's contrast: noise has no pattern."""
 
@@ -204,11 +184,14 @@ def _histograms(values: Floats32, total: Floats32, deep: Floats32) -> list[Float
     """Roots of the shares of rotation-invariant uniform patterns 0 to 9, each (N,), where `deep` is not 0."""
     side, count, _ = values.shape
     wide = values.reshape(side, -1)
+    across: Floats32 = 0.5 * (wide[:, 1:] + wide[:, :-1])
+    down: Floats32 = 0.5 * (wide[1:] + wide[:-1])
     least = np.repeat(_LEAST_STEP * (total + FLOOR), side).astype(np.float32)
-    bits = [
-        (cv2.filter2D(wide, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE) > least).view(np.uint8)
-        for kernel in _CIRCLE
-    ]
+    limit = _shifted(wide + least, 0, 0, wide.shape)
+    # In their order around the middle; `across` and `down` lie half a pixel further on.
+    circle = [(across, 1, 0), (wide, 1, 1), (down, 0, 1), (wide, -1, 1)]
+    circle += [(across, -2, 0), (wide, -1, -1), (down, 0, -2), (wide, 1, -1)]
+    bits = [(_shifted(picture, x, y, wide.shape) > limit).view(np.uint8) for picture, x, y in circle]
     ones = bits[0].copy()
     changes = bits[-1] ^ bits[0]
     for a, b in pairwise(bits):
@@ -217,10 +200,15 @@ def _histograms(values: Floats32, total: Floats32, deep: Floats32) -> list[Float
     # One more bin for what does not count.
     bins = _PATTERNS + 1
     np.putmask(ones, changes > 2, np.uint8(9))
-    np.putmask(ones, deep.reshape(side, -1) == 0.0, np.uint8(_PATTERNS))
-    codes = ones + np.repeat(np.arange(count) * bins, side)
-    shares = np.bincount(codes.ravel(), minlength=count * bins).reshape(count, bins)[:, :_PATTERNS]
+    np.putmask(ones, _shifted(deep.reshape(side, -1), 0, 0, wide.shape) == 0.0, np.uint8(_PATTERNS))
+    offsets = np.repeat(np.arange(count) * bins, side)[REACH:-REACH]
+    shares = np.bincount((ones + offsets).ravel(), minlength=count * bins).reshape(count, bins)[:, :_PATTERNS]
     return list(np.sqrt(shares / np.maximum(_sums(deep), 1.0)[:, None]).astype(np.float32).T)
+
+
+def _shifted(picture: Floats32, x: int, y: int, shape: tuple[int, ...]) -> Floats32:
+    """What lies x to the right of and y below the pixels of a picture of this shape that are not near its border."""
+    return picture[REACH + y : shape[0] - REACH + y, REACH + x : shape[1] - REACH + x]
 
 
 SHIPPED = Path(__file__).with_name("textures.npz")

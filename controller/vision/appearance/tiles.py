@@ -91,7 +91,7 @@ def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
     for k, (outline, scale) in enumerate(zip(outlines, scales.tolist(), strict=True)):
         _show(image, chosen[k].center_px, scale, shown[k])
         cv2.fillPoly(form[k], [outline], (255,), cv2.LINE_AA, SHIFT)
-    planes = np.array(cv2.split(shown.reshape(-1, SIDE, 3))).reshape(3, -1, SIDE, SIDE)
+    planes = np.array(cv2.split(shown.reshape(-1, SIDE, 3)), np.uint8).reshape(3, -1, SIDE, SIDE)
     table = surroundings(image, chosen, rings)
     solid = form[:, _CORE, _CORE] > 127
     material = _eroded(solid.view(np.uint8), np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))

@@ -21,7 +21,8 @@ def _part(*holes: tuple[int, int, int]) -> NDArray[np.uint8]:
 
 
 def _found(picture: NDArray[np.uint8], flagged: bool = False) -> NDArray[np.bool_]:
-    return _all_found([picture], [flagged])[0]
+    (found,) = _all_found([picture], [flagged])
+    return np.asarray(found)
 
 
 def _all_found(pictures: list[NDArray[np.uint8]], flagged: list[bool]) -> NDArray[np.bool_]:
