@@ -9,23 +9,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.scene import Found, outside
+from controller.vision.scene import Found, boxes, neighbours, outside
 
 _GAP = 2.5
 """Outlines nearer than this, px, touch: their edges are blurred into each other by about as much."""
+_WIDER = np.array([-_GAP, -_GAP, _GAP, _GAP])
 
 
 def with_contacts(found: Sequence[Found]) -> list[Found]:
     """The objects, `touching` added to the flags of those whose faces lie within a few pixels of another's."""
     if len(found) < 2:
         return list(found)
-    low = np.array([item.face.min(axis=0) for item in found]) - _GAP
-    high = np.array([item.face.max(axis=0) for item in found]) + _GAP
-    meet = (low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2)
+    near = neighbours(boxes([item.face for item in found]) + _WIDER)
     touching: set[int] = set()
-    for i, j in np.argwhere(np.triu(meet, 1)).tolist():
-        if not {i, j} <= touching and (_reaches(found[i], found[j]) or _reaches(found[j], found[i])):
-            touching |= {i, j}
+    for i, others in enumerate(near):
+        for j in others:
+            if not {i, j} <= touching and _reaches(found[i], found[j]):
+                touching |= {i, j}
     return [replace(item, flags=item.flags | {"touching"}) if i in touching else item for i, item in enumerate(found)]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from controller.vision.padded import KINDS, OWN, PARAMETERS, POLYGONS, ROUND, Rows, areas
 from controller.vision.rays import DIRECTIONS, RAYS
+from controller.vision.robust import median
 from controller.vision.shapes import TRIANGLE, Family
 
 Floats = NDArray[np.float64]
@@ -92,10 +93,10 @@ Model = Callable[[Rows, Floats, Edges, bool], tuple[Floats32, Floats32, Floats32
 
 def edges_of(places: Floats, weight: Floats) -> Edges:
     """Edges from their places (K, M, C, 2), local coordinates, and strengths (K, M, C)."""
-    relative = weight / np.maximum(np.median(weight[:, :, 0], axis=1), 1e-9)[:, None, None]
+    relative = weight / np.maximum(median(weight[:, :, 0], 1), 1e-9)[:, None, None]
     points = np.ones((len(places), 3, weight[0].size if len(weight) else 0), np.float32)
     points[:, :2] = places.reshape(len(places), -1, 2).transpose(0, 2, 1)
-    return Edges(points, np.clip(relative, 0.0, 1.0).astype(np.float32))
+    return Edges(points, np.minimum(relative, 1.0).astype(np.float32))
 
 
 def fit_all(
@@ -198,7 +199,8 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
     q = q.copy()
     models = _models(kind, edges)
     size = np.sqrt(np.maximum(areas(kind, q), 1.0))
-    limit = 0.3 * size[:, None]
+    limit = np.full(q.shape, 0.3)
+    limit[:, :5] *= size[:, None]
     scale = np.maximum(0.5 * factor, 0.008 * size)
     for step in steps:
         width = 3.0 * np.maximum(scale, 0.2 * size * 0.5**step)
@@ -211,9 +213,7 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
             normal = weighted @ jacobian
             normal += _RIDGE * (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-4)
             change[rows] = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
-        change[:, :5] = np.clip(change[:, :5], -limit, limit)
-        change[:, 5:] = np.clip(change[:, 5:], -0.3, 0.3)
-        q -= change
+        q -= np.minimum(np.maximum(change, -limit), limit)
         used = q[:, 2:5] != 0.0
         q[:, 2:5] = np.where(used, np.maximum(q[:, 2:5], 0.1 * size[:, None]), 0.0)
     return q

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from controller.vision.profiles import sample
 from controller.vision.proposals import Region
+from controller.vision.scene import boxes
 
 Floats = NDArray[np.float64]
 
@@ -67,9 +68,10 @@ def other_objects(
         for item in sorted(regions, key=lambda item: item.area)
         if item.cue in ("level", "chroma") and item.area * factor**2 >= 0.5 * smallest**2
     ]
+    if not candidates:
+        return [], set()
     middles = np.array([outline.mean(axis=0) for outline in known]).reshape(-1, 2)
-    low = np.array([outline.min(axis=0) for outline in known]).reshape(-1, 2)
-    high = np.array([outline.max(axis=0) for outline in known]).reshape(-1, 2)
+    low, high = np.hsplit(boxes(known), 2)
     areas = [abs(float(cv2.contourArea(outline.astype(np.float32)))) for outline in known]
     certain = set(whole)
     kept: list[tuple[Floats, set[int], bool]] = []

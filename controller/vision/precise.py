@@ -59,9 +59,14 @@ def _search(
     watch: Stopwatch,
 ) -> list[Found]:
     """One search of a whole image or of a part of it."""
+    noise = pixel_noise(image)
+    least = max(settings.minimum_contrast, least_step(image))
+    settings = settings.model_copy(update={"minimum_contrast": least})
+    image = without_spikes(image, noise)
+    watch.lap("noise")
     factor = reduction(image.shape)
     small = _small(image, factor)
-    empty = None if background is None else _small(background, factor)
+    empty = None if background is None else _small(without_spikes(background, noise), factor)
     mask = None
     if region is not None:
         mask = cv2.resize(region, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -76,12 +81,7 @@ def _search(
         covered = cv2.resize(hidden, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         visible = np.asarray(cv2.threshold(covered, 0.0, 255.0, cv2.THRESH_BINARY_INV)[1], np.uint8)
         strength = np.asarray(cv2.copyTo(strength, visible), np.float32)
-    noise = pixel_noise(image)
-    least = max(settings.minimum_contrast, least_step(image))
-    settings = settings.model_copy(update={"minimum_contrast": least})
-    image = without_spikes(image, noise)
     scene = Scene(image, noise, white, factor, local_maps(np.empty((0, 2)), np.empty(0), plane), [], plane, settings)
-    watch.lap("noise")
     clear: list[Judged] = []
     if not scene.sides:
         scene, clear = clear_objects(scene, strength, settings.level, smallest)
@@ -113,11 +113,12 @@ def reduction(shape: tuple[int, ...]) -> int:
 
 
 def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
-    clean = cv2.medianBlur(image, 3) if min(image.shape[:2]) >= 3 else image
     if factor > 1:
         size = (image.shape[1] // factor, image.shape[0] // factor)
-        clean = cv2.resize(clean[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.sepFilter2D(clean, cv2.CV_32F, _SMOOTH, _SMOOTH), np.float32)
+        image = np.asarray(
+            cv2.resize(image[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA), np.uint8
+        )
+    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, _SMOOTH, _SMOOTH), np.float32)
 
 
 def _box(mask: NDArray[np.uint8]) -> Box | None:

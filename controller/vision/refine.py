@@ -46,9 +46,10 @@ class Refined:
         levels: The same in gray levels (root mean square over the channels).
         misfit: How far the outline strays from the fitted one beyond the noise, px (rms, trimmed).
         chi: Mean squared stray in units of its own deviation: tells rivals apart that both fit.
-        seen: ndarray of shape (CHUNKS,), dtype bool: where an edge is to be seen.
+        visible: Share of the outline where an edge is to be seen.
+        seen: ndarray of shape (CHUNKS,), dtype bool: where that is.
         blank: ndarray of shape (CHUNKS,), dtype bool: where inside and outside look the same.
-        faint: ndarray of shape (CHUNKS,), dtype bool: blank, or of far less contrast than the rest.
+        faint: Share of the outline that is blank, or of far less contrast than the rest.
         strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
         inside_colour: ndarray of shape (3,): mean colour just inside, BGR levels.
     """
@@ -59,16 +60,12 @@ class Refined:
     levels: float
     misfit: float
     chi: float
+    visible: float
     seen: NDArray[np.bool_]
     blank: NDArray[np.bool_]
-    faint: NDArray[np.bool_]
+    faint: float
     strays: Floats
     inside_colour: Floats
-
-    @property
-    def visible(self) -> float:
-        """Share of the outline where an edge is to be seen."""
-        return int(np.count_nonzero(self.seen)) / len(self.seen)
 
 
 def refine(
@@ -206,7 +203,7 @@ def _verdicts(batch: Batch, state: State, start: Floats, size: Floats, noise: Fl
     foreign = inside > 0.4 * np.abs(around) + 4.0 / np.sqrt(count * evidence.lines)
     seen = ~blank & ~foreign & (np.abs(stray) < loose)
     contrast = median(around, 1)
-    faint = blank | (around < 0.1 * contrast[:, None])
+    faint = (blank | (around < 0.1 * contrast[:, None])).sum(axis=1) / CHUNKS
     squared = stray * stray
     misfit = np.sqrt(np.maximum(_trimmed(squared - error, seen & (information > 0.0)), 0.0))
     chi = _trimmed(squared * information, seen)
@@ -215,12 +212,14 @@ def _verdicts(batch: Batch, state: State, start: Floats, size: Floats, noise: Fl
     with np.errstate(invalid="ignore"):
         grown = areas(batch.kind, batch.q) / size**2
         lost |= ~((grown > 0.6) & (grown < 1.6)) | (batch.geometry()[1] <= _LEAST).any(axis=1)
+    figures = np.stack([batch.blur, contrast, misfit, chi, seen.sum(axis=1) / CHUNKS, faint], axis=1).tolist()
     return [
         None if gone else Refined(
-            batch.q[i, OWN[kind]], float(batch.blur[i]), float(contrast[i]), float(contrast[i]) * level,
-            float(misfit[i]), float(chi[i]), seen[i], blank[i], faint[i], stray[i], evidence.inner[i],
+            q=batch.q[i, OWN[kind]], blur=own[0], contrast=own[1], levels=own[1] * level, misfit=own[2], chi=own[3],
+            visible=own[4], faint=own[5], seen=seen[i], blank=blank[i], strays=stray[i],
+            inside_colour=evidence.inner[i],
         )
-        for i, (kind, gone) in enumerate(zip(batch.kind.tolist(), lost.tolist(), strict=True))
+        for i, (kind, gone, own) in enumerate(zip(batch.kind.tolist(), lost.tolist(), figures, strict=True))
     ]  # fmt: skip
 
 

@@ -14,12 +14,16 @@ from controller.geometry import PlaneMap
 from controller.vision.background import Whitened
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
+from controller.vision.profiles import CHUNKS
 from controller.vision.proposals import Region
 from controller.vision.recipe import Precise
 from controller.vision.refine import Refined
 from controller.vision.shapes import rotated
 
 Floats = NDArray[np.float64]
+
+_PALE = 1.5 / CHUNKS
+"""Share of an outline that must be faint for it not to be seen completely: more than one chunk."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,12 +130,12 @@ class Judged:
     outline: Floats
     rim: Floats
     area: float
-    box: tuple[float, float, float, float]
+    box: list[float]
 
 
 def whole(item: Judged) -> bool:
     """Whether an outline is seen so completely and fits so well that it is no piece of something larger."""
-    return item.badness < 0.3 and item.refined.visible > 0.95 and item.refined.faint.sum() <= 1
+    return item.badness < 0.3 and item.refined.visible > 0.95 and item.refined.faint < _PALE
 
 
 def sampled(outline: Floats, count: int = 32) -> Floats:
@@ -159,6 +163,15 @@ def all_sampled(outlines: Sequence[Floats], count: int = 32) -> Floats:
     return np.asarray(points[which] + side[which] * share[..., None])
 
 
+def boxes(outlines: Sequence[Floats]) -> Floats:
+    """Least x and y and greatest x and y (K, 4) of K outlines."""
+    if not outlines:
+        return np.empty((0, 4))
+    points = np.concatenate(outlines)
+    first = np.cumsum([0, *(len(outline) for outline in outlines[:-1])])
+    return np.concatenate([np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)], axis=1)
+
+
 def outside(outline: Floats, distance: float, count: int = 32) -> Floats:
     """`count` points at a distance, px, outside a closed convex outline."""
     points = sampled(outline, count)
@@ -170,11 +183,16 @@ def outside(outline: Floats, distance: float, count: int = 32) -> Floats:
     return np.asarray(points + distance * normal)
 
 
-def neighbours(items: Sequence[Judged]) -> NDArray[np.bool_]:
-    """Whose boxes meet, shape (K, K)."""
-    box = np.array([item.box for item in items]).reshape(-1, 4)
-    low, high = box[:, :2], box[:, 2:]
-    return np.asarray((low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2))
+def neighbours(boxes: Floats) -> list[list[int]]:
+    """Of each of some boxes (K, 4), least x and y and greatest x and y, which others it meets."""
+    x0, y0, x1, y1 = boxes.T
+    meet = (x0[:, None] <= x1) & (y0[:, None] <= y1)
+    meet &= meet.T
+    out: list[list[int]] = [[] for _ in boxes]
+    for i, j in np.argwhere(meet).tolist():
+        if i != j:
+            out[i].append(j)
+    return out
 
 
 def shared(a: Judged, b: Judged) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.chunks import chunk_middles
+from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, neighbours, outside, sampled, shared
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import reaches
@@ -48,58 +49,50 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
     """
     table = _table_like(scene, judged).tolist()
     good = [item for item, plain in zip(judged, table, strict=True) if not plain and _believable(scene, item)]
-    blurs = [item.refined.blur for item in good]
+    blurs, typical = [item.refined.blur for item in good], 0.0
     if blurs:
         # Shadows and glare have softer edges than the objects of the same frame.
-        softest = 1.7 * float(np.median(blurs)) + 0.4
-        good = [item for item in good if item.refined.blur <= softest]
+        typical = float(median(np.array(blurs), 0))
+        good = [item for item in good if item.refined.blur <= 1.7 * typical + 0.4]
 
-    meets = neighbours(good)
+    meets = neighbours(np.array([item.box for item in good]).reshape(-1, 4))
     stays = [
-        not any(_rival(scene, item, good[j]) for j in np.flatnonzero(meet))
-        for item, meet in zip(good, meets, strict=True)
+        not any(_rival(scene, item, good[j]) for j in meet) for item, meet in zip(good, meets, strict=True)
     ]
     if scene.sides:
         # A piece of a top face, cut off by a print, must not outrank the whole.
         for i, item in enumerate(good):
-            around = [
-                j
-                for j in np.flatnonzero(meets[i]).tolist()
-                if good[j].badness < 1.0 and item.area < _PIECE * good[j].area
-            ]
+            around = [j for j in meets[i] if good[j].badness < 1.0 and item.area < _PIECE * good[j].area]
             stays[i] = stays[i] and not any(shared(item, good[j]) > 0.9 for j in around)
     else:
         # A print or glint must not outrank the object it lies on.
         for i, item in enumerate(good):
-            on = [j for j in np.flatnonzero(meets[i]).tolist() if good[j].area > 4.0 * item.area]
+            on = [j for j in meets[i] if good[j].area > 4.0 * item.area]
             if stays[i] and any(shared(item, good[j]) > 0.5 for j in on):
                 stays[i] = _lies_on_table(scene, item, [])
-    good = [item for item, stay in zip(good, stays, strict=True) if stay]
-    meets = meets[stays][:, stays]
 
     def rank(item: Judged) -> float:
         return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
 
     chosen: list[int] = []
-    for i in sorted(range(len(good)), key=lambda i: (rank(good[i]), -good[i].area)):
+    for i in sorted(np.flatnonzero(stays).tolist(), key=lambda i: (rank(good[i]), -good[i].area)):
         item, best = good[i], i
         if scene.sides:
             inner = [
                 j
-                for j in np.flatnonzero(meets[i]).tolist()
-                if 0.5 * item.area < good[j].area < 0.97 * item.area
+                for j in meets[i]
+                if stays[j] and 0.5 * item.area < good[j].area < 0.97 * item.area
                 and rank(good[j]) < rank(item) + 0.3
                 and shared(item, good[j]) > 0.9
             ]
             best = min(inner, key=lambda j: rank(good[j]), default=i)
-        if not any(meets[best, j] and shared(good[best], good[j]) > 0.15 for j in chosen):
+        if best not in chosen and not any(j in meets[best] and shared(good[best], good[j]) > 0.15 for j in chosen):
             chosen.append(best)
     accepted = [good[i] for i in chosen]
     if scene.sides:
         return _without_shadows(scene, accepted)
     accepted = [item for item in accepted if not _strays(scene, item, accepted)]
     accepted = [item for item in accepted if _lies_on_table(scene, item, accepted)]
-    typical = float(np.median(blurs)) if blurs else 0.0
     return [item for item in accepted if not _shadow_strip(scene, item, accepted, typical)]
 
 
@@ -188,13 +181,14 @@ def stains(accepted: Sequence[Judged], others: Sequence[tuple[float, float]]) ->
     """
     known = [(abs(float(cv2.contourArea(item.outline.astype(np.float32)))), item.refined.levels) for item in accepted]
     sizes, levels = np.array([*known, *others]).reshape(-1, 2).T
+    largest, clearest = sizes.max(initial=0.0), levels.max(initial=0.0)
     blurs = np.array([item.refined.blur for item in accepted])
     out = set()
     for i, item in enumerate(accepted):
-        larger = sizes > sizes[i]
         # Nothing is a stain that is not faint or small.
-        if not larger.any() or (levels[i] > 0.35 * levels.max() and sizes[i] > 0.1 * sizes.max()):
+        if sizes[i] == largest or (levels[i] > 0.35 * clearest and sizes[i] > 0.1 * largest):
             continue
+        larger = sizes > sizes[i]
         faint, small = levels[i] / float(np.median(levels[larger])), sizes[i] / float(np.median(sizes[larger]))
         soft = len(blurs) > 1 and blurs[i] > 1.4 * float(np.median(np.delete(blurs, i)))
         vague = soft or item.refined.visible < 0.95
@@ -215,6 +209,8 @@ def _shaded(scene: Scene, difference: Floats) -> NDArray[np.bool_]:
 
 def _strays(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     """Whether an outline leaves its shape where no neighbour is to blame: a nut with a bolt in it, a torn edge."""
+    if 1.0 - item.refined.visible < _TORN:
+        return False
     off = ~item.refined.seen & ~item.refined.blank
     if off.mean() < _TORN:
         return False
@@ -230,7 +226,7 @@ def _strays(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
 
 def _rival(scene: Scene, item: Judged, other: Judged) -> bool:
     """Whether another family explains the same outline better."""
-    if other is item or other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
+    if other.hypothesis.family is item.hypothesis.family or abs(other.area / item.area - 1.0) > 0.2:
         return False
     if shared(item, other) <= 0.85:
         return False
@@ -244,7 +240,7 @@ def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:
     if not items:
         return np.zeros(0, bool)
     difference = scene.strengths(rims(items), 0.85)
-    return np.asarray(np.median(np.sqrt(np.vecdot(difference, difference)), axis=1) < _TABLE)
+    return np.asarray(median(np.sqrt(np.vecdot(difference, difference)), 1) < _TABLE)
 
 
 def _shadow_like(scene: Scene, item: Judged, share: float = 0.85) -> bool:
@@ -281,8 +277,8 @@ def has_hole(scene: Scene, rim: Floats) -> NDArray[np.bool_]:
     differences = scene.strengths(rim, 0.85, 0.05, 0.15, 0.25, 0.35)
     strength = np.sqrt(np.vecdot(differences, differences))
     outer = strength.shape[1] // 5
-    own = np.median(strength[:, :outer], axis=1)
-    clear = np.mean(strength[:, outer:] < np.maximum(3.0, 0.3 * own)[:, None], axis=1)
+    own = median(strength[:, :outer], 1)
+    clear = (strength[:, outer:] < np.maximum(3.0, 0.3 * own)[:, None]).mean(axis=1)
     return np.asarray((own > 6.0) & (clear > 0.4))
 
 

@@ -70,10 +70,10 @@ def area(family: Family, q: Floats) -> Floats:
         return np.asarray(4.0 * q[:, 2] * q[:, 3])
     # Three lines at distances h from a point, with angles g between their normals: (h . sin g)^2 / (2 product sin g).
     turns = q[:, 5:] + TRIANGLE.normals
-    opposite = np.sin(np.stack([turns[:, j] - turns[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1))
-    product = 2.0 * np.prod(opposite, axis=1)
+    opposite = np.sin(turns[:, [2, 0, 1]] - turns[:, [1, 2, 0]])
+    product = 2.0 * opposite[:, 0] * opposite[:, 1] * opposite[:, 2]
     product = np.where(np.abs(product) < 1e-9, 1e-9, product)
-    return np.asarray(np.abs(np.sum(q[:, 2:5] * opposite, axis=1) ** 2 / product))
+    return np.asarray(np.abs(np.vecdot(q[:, 2:5], opposite) ** 2 / product))
 
 
 def rotated(values: Floats) -> Floats:

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.chunks import batch_of, corners
+from controller.vision.chunks import Batch, batch_of, corners
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
-from controller.vision.padded import ROUND
+from controller.vision.padded import KINDS, ROUND, areas
 from controller.vision.proposals import Contour
 from controller.vision.refine import Refined, open_sided, refine, refine_on
-from controller.vision.scene import Judged, Scene, all_sampled, whole
+from controller.vision.scene import Judged, Scene, all_sampled, boxes, whole
 from controller.vision.shapes import CIRCLE, area, vertices
 from controller.vision.silhouette import feet
 
@@ -96,34 +96,37 @@ def _judged(
         if r is not None and r.visible >= least
         and r.levels >= settings.minimum_contrast and r.contrast >= 1.0
     ]  # fmt: skip
+    batch = batch_of([h.family for _, h, _ in shown], [r.q for _, _, r in shown], [h.region for _, h, _ in shown], 1.0)
     kept = [
-        (*item, outline)
-        for item, outline in zip(shown, _outlines(maps, [(h, r) for _, h, r in shown]), strict=True)
+        (*item, covered, outline)
+        for item, covered, outline in zip(
+            shown, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
+        )
         if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
     ]
-    outlines = [outline for _, _, _, outline in kept]
+    outlines = [outline for *_, outline in kept]
     out: list[Judged | None] = [None] * len(wanted)
-    for (i, h, r, outline), rim, slack in zip(kept, all_sampled(outlines), _slack(scene, outlines), strict=True):
-        covered = float(area(h.family, r.q[None])[0])
+    told = zip(kept, all_sampled(outlines), boxes(outlines).tolist(), _slack(scene, outlines), strict=True)
+    for (i, h, r, covered, outline), rim, box, slack in told:
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
-        (x0, y0), (x1, y1) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
         badness = r.misfit / allowed
         clear = r.levels >= _CLEAR * settings.minimum_contrast
         close = scene.sides and clear and r.visible >= _TOP_SEEN and badness <= _CLOSE
         if r.visible < settings.visible and not close:
             badness = math.inf
-        out[i] = Judged(h, r, badness, outline, rim, covered, (x0, y0, x1, y1))
+        out[i] = Judged(h, r, badness, outline, rim, covered, box)
     return out
 
 
-def _outlines(maps: LocalMaps, items: Sequence[tuple[Hypothesis, Refined]]) -> list[Floats]:
-    """Corners (N, 2) of refined outlines, px; circles are sampled."""
-    batch = batch_of([h.family for h, _ in items], [r.q for _, r in items], [h.region for h, _ in items], 1.0)
+def _outlines(maps: LocalMaps, batch: Batch) -> list[Floats]:
+    """Corners (N, 2) of outlines, px; circles are sampled."""
     circles = np.flatnonzero(batch.kind == ROUND)
     rest = batch.some(np.flatnonzero(batch.kind != ROUND))
     rings = batch.q[circles, None, :2] + batch.q[circles, 2, None, None] * _RING
     both = iter(maps.all_to_pixels(batch.index[circles], rings)), iter(maps.all_to_pixels(rest.index, corners(rest)))
-    return [next(both[0]) if h.family is CIRCLE else next(both[1])[: len(h.family.normals)] for h, _ in items]
+    return [
+        next(both[0]) if kind == ROUND else next(both[1])[: len(KINDS[kind].normals)] for kind in batch.kind.tolist()
+    ]
 
 
 def typical_blur(judged: Sequence[Judged], otherwise: float) -> float:

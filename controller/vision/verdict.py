@@ -13,7 +13,8 @@ from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.contact import with_contacts
 from controller.vision.others import other_objects
-from controller.vision.scene import Found, Judged, Scene, overlap, sampled, whole
+from controller.vision.robust import median
+from controller.vision.scene import Found, Judged, Scene, boxes, overlap, sampled, whole
 from controller.vision.selection import WORN, has_hole, rims, select, stains, stands_alone
 from controller.vision.shapes import CIRCLE, RECTANGLE, TRIANGLE, vertices
 from controller.vision.silhouette import measure, reaches
@@ -29,7 +30,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     found = [_found(scene, item, hole) for item, hole in zip(accepted, holes, strict=True)]
     watch.lap("judge")
     if scene.settings.others:
-        blur = float(np.median([item.refined.blur for item in accepted])) if accepted else 0.0
+        blur = float(median(np.array([item.refined.blur for item in accepted]), 0)) if accepted else 0.0
         hidden = [i for i, item in enumerate(accepted) if _merged(item)]
         others, merged = other_objects(
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
@@ -42,7 +43,7 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
         found = [item for i, item in enumerate(found) if i not in merged]
         found = [item for item in found if not any(_part_of(item, outline) for outline, _, _ in others)]
         for outline, score, _ in others:
-            flags = _border(outline, scene.image.shape, float(scene.factor))
+            flags = _border(boxes([outline])[0].tolist(), scene.image.shape, float(scene.factor))
             disc = _worn_disc(scene, outline)
             if disc is not None:
                 found.append(disc)
@@ -66,7 +67,9 @@ def _worn_disc(scene: Scene, outline: Floats) -> Found | None:
     ring = vertices(CIRCLE, np.array([*center, radius]))
     if not stands_alone(scene, ring):
         return None
-    flags = _border(ring, scene.image.shape) | ({"hole"} if has_hole(scene, sampled(ring)[None])[0] else set())
+    flags = _border(boxes([ring])[0].tolist(), scene.image.shape)
+    if has_hole(scene, sampled(ring)[None])[0]:
+        flags |= {"hole"}
     return Found(Shape.CIRCLE, 0.5, ring, ring, center, 2.0 * radius, flags)
 
 
@@ -79,12 +82,12 @@ def _part_of(item: Found, outline: Floats) -> bool:
 
 def _merged(item: Judged) -> bool:
     """Whether part of an outline runs through one colour: a piece cut out of something larger."""
-    return float(item.refined.faint.mean()) > 0.08 and not _all_around(item)
+    return item.refined.faint > 0.08 and not _all_around(item)
 
 
 def _all_around(item: Judged) -> bool:
     """Whether there is an edge everywhere, though a shadow of nearly the same gray may make some of it faint."""
-    return item.badness < 0.3 and bool(item.refined.seen.all())
+    return item.badness < 0.3 and item.refined.visible == 1.0
 
 
 def _found(scene: Scene, item: Judged, hole: bool) -> Found:
@@ -93,14 +96,18 @@ def _found(scene: Scene, item: Judged, hole: bool) -> Found:
     diameter = None
     if family is RECTANGLE and max(q[2], q[3]) / min(q[2], q[3]) < scene.settings.square_aspect:
         verdict = Shape.SQUARE
-    center = vertices(family, q).mean(axis=0) if family is TRIANGLE else q[:2]
+    center = q[:2]
+    if family is TRIANGLE:
+        center = vertices(family, q).mean(axis=0) if scene.plane is not None else (
+            item.outline.mean(axis=0) - scene.maps.centers[k]
+        )
     if family is CIRCLE:
         diameter = 2.0 * float(q[2])
         if scene.plane is not None:
             diameter = 2.0 * math.sqrt(abs(cv2.contourArea(item.outline.astype(np.float32))) / math.pi)
     fit = 1.0 - 0.35 * item.badness**2 if item.badness < 1.0 else 0.65 - 0.15 * (item.badness - 1.0) / (WORN - 1.0)
     score = float(max(fit, 0.0) * min(1.0, item.refined.visible / 0.95))
-    flags = _border(item.outline, scene.image.shape)
+    flags = _border(item.box, scene.image.shape)
     if hole:
         flags |= {"hole"}
     return Found(
@@ -108,11 +115,11 @@ def _found(scene: Scene, item: Judged, hole: bool) -> Found:
     )
 
 
-def _border(outline: Floats, shape: tuple[int, ...], slack: float = 0.0) -> frozenset[str]:
-    """The flag of an outline, known to `slack` px, that the picture's border cuts."""
-    low, high = outline.min(axis=0), outline.max(axis=0)
+def _border(box: list[float], shape: tuple[int, ...], slack: float = 0.0) -> frozenset[str]:
+    """The flag of an outline with such a box, known to `slack` px, that the picture's border cuts."""
+    x0, y0, x1, y1 = box
     end = 0.5 + slack
-    cut = (low < end).any() or high[0] > shape[1] - 1.0 - end or high[1] > shape[0] - 1.0 - end
+    cut = min(x0, y0) < end or x1 > shape[1] - 1.0 - end or y1 > shape[0] - 1.0 - end
     return frozenset({"cut_by_border"} if cut else ())
 
 
