@@ -117,7 +117,7 @@ class SimulatedCell:
 
     def truth(self) -> tuple[TruePart, ...]:
         """Where every part is now."""
-        return self._truth(self.world.part_poses(), self.world.held, self.world.away)
+        return self._truth(self.world.loose.poses(), self.world.held, self.world.loose.away)
 
     def truth_at(self, at: float) -> tuple[TruePart, ...]:
         """Where every part was at a past time: exact at captures, within 0.05 s else."""
@@ -130,11 +130,11 @@ class SimulatedCell:
 
     def set_aside(self) -> None:
         """Take all parts off the table, e.g. to calibrate."""
-        self.world.set_aside()
+        self.world.loose.set_aside()
 
     def scatter(self) -> None:
         """Put all parts where the seed has them."""
-        self.world.put_back()
+        self.world.loose.put_back()
 
     def overview(self, size: tuple[int, int] = (1280, 720), lens: Lens | None = None) -> Image:
         """A picture of the whole cell for people, (H, W, 3), dtype uint8, BGR.

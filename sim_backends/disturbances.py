@@ -178,17 +178,17 @@ class Disturber:
                 return
             self._note(kind)
             for index in held:
-                world.grease(index, True)
+                world.loose.grease(index, True)
                 self._due.append((world.now() + _SLIPPERY, f"dry {index}"))
         elif kind.startswith("dry"):
-            world.grease(int(kind.split()[1]), False)
+            world.loose.grease(int(kind.split()[1]), False)
         else:
             chosen = self._choose()
             if chosen is not None:
                 self._note(kind)
                 speed, way = self._random.uniform(*_SHOVE), self._random.uniform(-math.pi, math.pi)
                 spin = float(self._random.uniform(-4.0, 4.0))
-                world.shove(chosen, (speed * math.cos(way), speed * math.sin(way)), spin)
+                world.loose.shove(chosen, (speed * math.cos(way), speed * math.sin(way)), spin)
 
     # --- what a person does: every step yields how long it takes, s ----------------------------------------------
 
@@ -201,7 +201,7 @@ class Disturber:
         yield from self._withdraw()
 
     def _add(self) -> Generator[float, None, None]:
-        spare = min(self._world.away, default=None)
+        spare = min(self._world.loose.away, default=None)
         if spare is None:
             return
         yield from self._lay(spare, None)
@@ -272,7 +272,7 @@ class Disturber:
         at = self._person.place(index)
         if index not in self._person.on_table() or self._person.arm_is_in_the_way(at):
             return False
-        self._world.take_away(index)
+        self._world.loose.take_away(index)
         return True
 
     def _lay(self, index: int, there: tuple[Array, float] | None) -> Generator[float, None, None]:
@@ -284,7 +284,7 @@ class Disturber:
             yield from self._reach(place[0])
             yield _GRASP
             if self._person.is_free(self._world.parts[index], *place):
-                self._world.lay_at(index, float(place[0][0]), float(place[0][1]), place[1])
+                self._world.loose.lay_at(index, float(place[0][0]), float(place[0][1]), place[1])
                 return
             there = None
 

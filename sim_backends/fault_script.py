@@ -202,7 +202,7 @@ class FaultDirector:
         self._bus.heal()
         self._bus.faults.set_rate(Fault.CORRUPT, 0.0)
         for servo_id in self._bus.servo_ids:
-            self._world.block(servo_id, False)
+            self._world.shafts.block(servo_id, False)
             if self._bus.servo(servo_id).health.bits:
                 self._bus.strike(Fault.REBOOT, servo_id)
         self.ledger_unwritable = False
@@ -230,15 +230,15 @@ class FaultDirector:
             self._at(end, lambda: setattr(bus, "connected", True))
         elif name in ("motion_timeout", "part_held"):
             blocked = servo if name == "motion_timeout" else world.arm.gripper.servo_id
-            world.block(blocked, True)
-            self._at(end, lambda: world.block(blocked, False))
+            world.shafts.block(blocked, True)
+            self._at(end, lambda: world.shafts.block(blocked, False))
         elif name == "part_lost":
             for part in world.held:
-                world.lay_back(part)
+                world.loose.lay_back(part)
         elif name == "grasp_missed":
-            nearest = world.nearest_to_tool()
+            nearest = world.loose.nearest_to(world.tool_pose()[:3, 3])
             if nearest is not None:
-                world.take_away(nearest)
+                world.loose.take_away(nearest)
         elif name == "ledger_unwritable":
             self.ledger_unwritable = True
             self._at(end, lambda: setattr(self, "ledger_unwritable", False))

@@ -83,8 +83,8 @@ class Person:
 
     def on_table(self) -> list[int]:
         """Parts that stand on the table within the work area and that nobody holds."""
-        poses = self._world.part_poses()
-        held, away = self._world.held, self._world.away
+        poses = self._world.loose.poses()
+        held, away = self._world.held, self._world.loose.away
         return [
             index
             for index, pose in enumerate(poses)
@@ -93,11 +93,11 @@ class Person:
 
     def place(self, index: int) -> Array:
         """Where a part is, (x, y) in `base`, mm."""
-        return np.asarray(self._world.part_poses()[index, :2])
+        return np.asarray(self._world.loose.poses()[index, :2])
 
     def yaw(self, index: int) -> float:
         """How a standing part is turned, rad."""
-        w, _, _, z = self._world.part_poses()[index, 3:]
+        w, _, _, z = self._world.loose.poses()[index, 3:]
         return 2.0 * math.atan2(float(z), float(w))
 
     def arm_is_in_the_way(self, at: Array) -> bool:
@@ -127,7 +127,7 @@ class Person:
 
     def _outlines(self) -> list[Array]:
         """Where the parts lie, each as (N, 2), `base`, mm."""
-        poses = self._world.part_poses()
+        poses = self._world.loose.poses()
         parts = self._world.parts
         return [
             placed(parts[i].outline, float(poses[i, 0]), float(poses[i, 1]), self.yaw(i)) for i in self.on_table()

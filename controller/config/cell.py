@@ -99,6 +99,8 @@ class VisionSection(StrictModel):
     """Objects below this confidence are left alone."""
     smallest_mm: float = Field(5.0, ge=0.0, le=200.0)
     """Anything whose long side is shorter is dirt: neither a part nor in the way of one."""
+    narrowest_mm: float = Field(0.0, ge=0.0, le=200.0)
+    """No part that lies as it should is narrower: what is lies on its side, whatever it looks like, or is no part."""
     classes: str = ""
     """Folder of taught classes; without, the cell's own, which is read when a sorting rule asks for a label."""
 

@@ -19,9 +19,8 @@ from controller.motion.planner import Planner
 _SURE = 0.8
 """Of two candidates of which only one is this sure, that one comes first, however far it is."""
 
-
 NUDGES = 3
-"""Pushes for the sake of one part: what three did not free, a fourth will not."""
+"""Pushes for the sake of one part until another is gone: what three did not free, a fourth will not."""
 
 
 class Chooser:
@@ -42,6 +41,7 @@ class Chooser:
         self._rig, self._book, self._stock, self._view = rig, book, stock, view
         self._others: tuple[LocatedObject, ...] = ()
         self._looked_at: list[LocatedObject] = []
+        self._concluded = 0
         self.queue: list[LocatedObject] = []
         self.blocked: list[LocatedObject] = []
 
@@ -59,7 +59,7 @@ class Chooser:
             start: ndarray of shape (J,): where the arm stands, rad.
             concluded: How many targets have their outcome: some rest until it is enough.
         """
-        self._others = (*named, *in_the_way)
+        self._others, self._concluded = (*named, *in_the_way), concluded
         tried = {target.target_id: target.attempts for target in self._book.open}
         resting = {target.target_id for target in self._book.resting if target.rests_until > concluded}
 
@@ -129,14 +129,19 @@ class Chooser:
             if thing.size[1] > widest:
                 continue  # no push makes it fit between the jaws; it may not even be a thing
             target = self._book.choose(thing, self._rig.clock.now())
+            if target.nudged_among != self._concluded:
+                target.nudges, target.nudged_among = 0, self._concluded
             if target.nudges >= NUDGES:
                 continue
             try:
-                plan = planner.plan_nudge(thing, self._apart_from(thing), outline, start, climb=climb)
+                plan = planner.plan_nudge(
+                    thing, self._apart_from(thing), outline, start, climb=climb, tried=target.pushed
+                )
             except PlanError:
                 continue
             self._charge()
             target.nudges += 1
+            target.pushed.append((plan.moved.center, plan.by))
             return target, plan
         return None
 

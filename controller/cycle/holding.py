@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import math
 
-from controller.errors import Intruder, SorterError
+from controller.cycle.looking import Looker
+from controller.cycle.outcomes import Outcomes
+from controller.cycle.requests import Requests
+from controller.cycle.rig import Rig
+from controller.errors import CameraError, Intruder, PartHeld, SorterError
 
 FIRST_PAUSE = 0.5
 """s before the first new try; doubled after every one that fails."""
@@ -72,3 +76,98 @@ class Hold:
     def too_long(self) -> bool:
         """Nobody waits any longer where nobody operates the cell."""
         return self.next_try - self.since > PATIENCE
+
+
+class Holding:
+    """Holds the cell of a rig, and says when it goes on.
+
+    Args:
+        rig: The cell.
+        requests: What is asked for from outside.
+        outcomes: What could not be put on record is written when it can be.
+        operated: Somebody looks after the cell: it holds for as long as it takes.
+    """
+
+    def __init__(self, rig: Rig, requests: Requests, outcomes: Outcomes, *, operated: bool) -> None:
+        self._rig, self._requests, self._outcomes = rig, requests, outcomes
+        self._operated = operated
+        self._hold: Hold | None = None
+
+    def adopt(self, rig: Rig) -> None:
+        """Take over a rig with the same devices and observers."""
+        self._rig = rig
+
+    def failed(self, cause: SorterError) -> None:
+        """Hold, or go on holding, for a cause that may pass.
+
+        Raises:
+            SorterError: The cause itself, when nobody operates the cell and it has lasted too long.
+        """
+        now = self._rig.clock.now()
+        known = self._hold is not None and self._hold.is_for(cause)
+        self._hold = self._hold or Hold(cause, now)
+        self._hold.failed(cause, now)
+        self._requests.must_be_told()
+        if not known:
+            for observer in self._rig.observers:
+                observer.held(cause, now)
+        self._check_patience(self._hold)
+
+    def step(self, looker: Looker) -> str:
+        """Wait a little, or try again; the trigger of what follows, "held_on" while nothing does.
+
+        Args:
+            looker: Looks whether the view is clear.
+
+        Raises:
+            SorterError: The cause, still there or for too long; or what failed in trying.
+        """
+        hold, rig = self._hold, self._rig
+        if hold is not None and isinstance(hold.cause, PartHeld):
+            # Nothing opens the jaws again before somebody who has looked says so.
+            return "rehomed" if self._may_go_on() else self._wait_on(hold, SLICE)
+        if self._requests.paused or (hold is not None and rig.clock.now() < hold.next_try):
+            rig.clock.sleep(SLICE)
+            return "held_on"
+        if hold is not None and isinstance(hold.cause, Intruder):
+            return self._wait_for_clear_view(hold, looker)
+        if hold is not None and isinstance(hold.cause, CameraError):
+            rig.camera.close()
+            rig.camera.open()
+        elif hold is not None:
+            self._outcomes.write()
+            rig.ledger.note("resumed", rig.clock.now(), held_s=rig.clock.now() - hold.since)
+        return "resumed"
+
+    def overcome(self, kind: type[SorterError]) -> None:
+        """What the cell held for works again."""
+        if self._hold is not None and isinstance(self._hold.cause, kind):
+            self._hold = None
+            for observer in self._rig.observers:
+                observer.resumed(self._rig.clock.now())
+
+    def _wait_for_clear_view(self, hold: Hold, looker: Looker) -> str:
+        """Nothing moves before the table is clear, and somebody says so or the configuration allows to go on."""
+        clock, patience = self._rig.clock, self._rig.config.cycle.resume_when_clear_s
+        looker.check(looker.capture(clock.now()))
+        hold.clear(clock.now())
+        if self._may_go_on() or (patience > 0.0 and clock.now() - hold.clear_since >= patience):
+            self.overcome(Intruder)
+            return "resumed"
+        return self._wait_on(hold, GLANCE)
+
+    def _may_go_on(self) -> bool:
+        if not self._requests.may_go_on:
+            return False
+        self._requests.must_be_told()
+        return True
+
+    def _wait_on(self, hold: Hold, seconds: float) -> str:
+        hold.next_try = self._rig.clock.now()
+        self._check_patience(hold)
+        self._rig.clock.sleep(seconds)
+        return "held_on"
+
+    def _check_patience(self, hold: Hold) -> None:
+        if not self._operated and hold.too_long:
+            raise hold.cause

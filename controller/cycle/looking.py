@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.cycle.doubt import lies_on_its_side, nameless
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
 from controller.cycle.view import Backdrop, region_mask
@@ -107,7 +108,7 @@ class Looker:
         return detected
 
     def locate(self, detected: Detected) -> tuple[Located, list[LocatedObject]]:
-        """Where the detections of a look are, and those of them that are no dirt.
+        """Where the detections of a look are, and those of them that are no dirt; what has toppled has no name.
 
         Raises:
             Intruder: One is larger than any part.
@@ -115,7 +116,9 @@ class Looker:
         config = self._rig.config
         found = locate(detected.detections, self._rig.calibration, self._rig.part_height)
         self._guard.check_things(found)
-        return found, [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
+        things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
+        narrowest = config.vision.narrowest_mm
+        return found, [nameless(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
 
     def check(self, frame: Frame) -> None:
         """Look for nothing but what should not be there.

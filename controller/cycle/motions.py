@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from controller.cycle import proof
 from controller.cycle.holding import RELEASES
 from controller.cycle.rig import Rig
-from controller.domain import Grasp, GripReport, MoveReport, Trajectory
+from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Trajectory
 from controller.errors import PartHeld
 from controller.motion.planner import Planner
 
@@ -97,6 +97,43 @@ class Motions:
         report = self._rig.arm.grip(opening)
         self._moved(report.finished)
         return report
+
+    def take(self, plan: PickPlan, *, proved: bool) -> str | None:
+        """Go down and close the jaws on a part; None when they hold it, else why they do not.
+
+        Args:
+            plan: How.
+            proved: Whether the settled jaws are asked what they hold, or believed.
+
+        Raises:
+            Interrupted: A move was ended early by a stop.
+        """
+        arrival = self._go_down(plan.approach, plan.grasp.opening)
+        refusal = proof.obstruction(arrival, plan.approach)
+        if refusal is None:
+            report = self.grip(proof.closing_target(plan.grasp, self._rig.arm.description.gripper))
+            refusal = proof.refusal(report, plan.grasp, plan.target.sigma) if proved else None
+        return refusal
+
+    def push(self, plan: NudgePlan) -> bool:
+        """Push a part with the closed jaws; False when something stood in the way down.
+
+        Raises:
+            Interrupted: A move was ended early by a stop.
+        """
+        arrival = self._go_down(plan.approach, plan.opening)
+        if proof.obstruction(arrival, plan.approach) is not None:
+            self.home()
+            return False
+        self.follow(plan.push)
+        self.follow(plan.retreat)
+        return True
+
+    def _go_down(self, approach: Trajectory, opening: float) -> MoveReport:
+        """An approach; from deep in a bin the jaws move when they are past what lies there."""
+        out_of_bin = self.planner.rise_time(approach, self.climb) if self.climb else 0.0
+        self.retreat = None
+        return self.follow(approach, opening, out_of_bin)
 
     def let_go(self, grasp: Grasp) -> None:
         """Open the jaws, and again if they keep what is between them.

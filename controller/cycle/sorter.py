@@ -7,7 +7,6 @@ on the way.
 
 from __future__ import annotations
 
-import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,11 +14,12 @@ from contextlib import suppress
 from controller.cycle import proof
 from controller.cycle.choice import Chooser
 from controller.cycle.concerns import Concerns
-from controller.cycle.holding import GLANCE, SLICE, Hold
+from controller.cycle.holding import Holding
 from controller.cycle.looking import Looker
 from controller.cycle.machine import CellMachine, State
 from controller.cycle.motions import Interrupted, Motions
 from controller.cycle.outcomes import Outcomes
+from controller.cycle.requests import Requests
 from controller.cycle.rig import Look, Rig
 from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
@@ -76,15 +76,12 @@ class Sorter:
         self._filled = Counter() if filled is None else filled
         self._book = TargetBook(target_prefix)
         self._motions = Motions(rig)
-        self._adopt(rig)
         self._outcomes = Outcomes(rig, self._book)
         self._concerns = Concerns(rig)
-        self._stop = threading.Event()
-        self._pause = threading.Event()
-        self._was_paused = threading.Event()
-        self._go_on = threading.Event()
-        self._held: Hold | None = None
-        self._holding: Target | None = None
+        self._requests = Requests(rig.arm)
+        self._holding = Holding(rig, self._requests, self._outcomes, operated=not until_empty)
+        self._adopt(rig)
+        self._gripped: Target | None = None
         self._frame: Frame | None = None
         self._detected: Detected | None = None
         self._cycle_started = 0.0
@@ -106,6 +103,7 @@ class Sorter:
         view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
         self._stock = Stock(rig.config, self._filled)
         self._motions.adopt(rig, view)
+        self._holding.adopt(rig)
         self._looker = Looker(rig, self._motions.pose_at)
         self._chooser = Chooser(rig, self._book, self._stock, view)
 
@@ -113,31 +111,20 @@ class Sorter:
 
     def request_stop(self) -> None:
         """Stop along the path, park and let go of the torque; from any thread or signal handler."""
-        self._stop.set()
-        self.rig.arm.request_stop()
-        self._end_pause()
+        self._requests.stop()
 
     def request_pause(self) -> None:
         """Hold on the path of the move under way, else before the next; from any thread. A stop ends it."""
-        self._pause.set()
-        self._was_paused.set()
-        self.rig.arm.pause()
-        if self._stop.is_set():
-            self._end_pause()
+        self._requests.pause()
 
     @property
     def holds(self) -> bool:
         """A pause is in force and the arm stands; from any thread."""
-        return self._pause.is_set() and self.rig.arm.holds
+        return self._requests.stands
 
     def resume(self) -> None:
         """Go on after `request_pause`, or when what somebody has to put right is put right; from any thread."""
-        self._end_pause()
-        self._go_on.set()
-
-    def _end_pause(self) -> None:
-        self._pause.clear()
-        self.rig.arm.resume()
+        self._requests.resume()
 
     def change(self, rig: Rig) -> None:
         """Work with another configuration from the next look on; from any thread.
@@ -159,7 +146,7 @@ class Sorter:
                     self._come_to_rest()
             raise
         finally:
-            self._end_pause()
+            self._requests.end_pause()
             self._looker.close()
 
     def _run(self) -> None:
@@ -184,12 +171,12 @@ class Sorter:
 
     def _work(self) -> str:
         """Do what the state asks for; nothing new begins before what has happened is on record."""
-        if self._stop.is_set():
+        if self._requests.stopped:
             return "stopped"
         if self.machine.state is not State.HELD:
             self._outcomes.write()
-        if self._was_paused.is_set() and self.machine.state in _LOOKS_AGAIN:
-            self._was_paused.clear()
+        if self._requests.was_paused and self.machine.state in _LOOKS_AGAIN:
+            self._requests.took_pause()
             self._looker.forget()
             return "held"
         return self._handlers[self.machine.state]()
@@ -205,13 +192,13 @@ class Sorter:
 
     def _home(self) -> str:
         self._motions.start()
-        target = self._holding
+        target = self._gripped
         if target is not None and target.plan is not None:
             self._motions.let_go(target.plan.grasp)
-            self._holding = None
+            self._gripped = None
             reason = "it stuck to the jaws over the bin, until somebody helped"
             self._outcomes.conclude(target, Result.INDETERMINATE, reason)
-            self._overcome(PartHeld)
+            self._holding.overcome(PartHeld)
         self._motions.home()
         return "homed"
 
@@ -227,7 +214,7 @@ class Sorter:
         if motions.retreat is None:
             self._cycle_started = self.rig.clock.now()
         self._frame = self._looker.capture(motions.last)
-        self._overcome(CameraError)
+        self._holding.overcome(CameraError)
         self._picks_from_look = 0
         return "captured"
 
@@ -258,14 +245,11 @@ class Sorter:
             self._motions.step_back()
             self._chooser.anew()
             chosen = self._next()
+        if chosen is None and not self._motions.planner.turns_jaws:
+            self._chooser.anew()
+            chosen = self._next(corners=True)
         if chosen is None:
-            if self._nudge():
-                return "nudged"
-            if not self._motions.planner.turns_jaws:
-                self._chooser.anew()
-                chosen = self._next(corners=True)
-        if chosen is None:
-            return self._emptied()
+            return "nudged" if self._nudge() else self._emptied()
         target, plan = chosen
         for observer in self.rig.observers:
             observer.planned(plan)
@@ -273,15 +257,16 @@ class Sorter:
             self._outcomes.conclude(target, Result.SKIPPED, "refused by the operator")
             return "missed"
         self.rig.ledger.intend(target.target_id, plan, target.attempts + 1, self.rig.clock.now())
-        self._overcome(LedgerError)
+        self._holding.overcome(LedgerError)
         target.attempts += 1
         for observer in self.rig.observers:
             observer.attempted(plan, target.attempts)
-        refusal = self._take(target, plan)
+        self._gripped = target
+        refusal = self._motions.take(plan, proved=self.rig.pick_proof)
         return "picked" if refusal is None else self._missed(target, plan, refusal)
 
     def _place(self) -> str:
-        target = self._holding
+        target = self._gripped
         assert target is not None
         assert target.plan is not None
         plan = target.plan
@@ -290,7 +275,7 @@ class Sorter:
         self._look_ahead(plan)
         self._motions.let_go(plan.grasp)
         self._motions.released(plan.retreat, target.located.height)
-        self._holding = None
+        self._gripped = None
         if dropped is not None:
             target.lost, target.reason = True, dropped
             for observer in self.rig.observers:
@@ -311,7 +296,7 @@ class Sorter:
         return "placed"
 
     def _idle(self) -> str:
-        self._overcome(LedgerError)
+        self._holding.overcome(LedgerError)
         self._motions.step_back()
         if self._until_empty:
             return "stopped"
@@ -331,19 +316,6 @@ class Sorter:
             self._outcomes.conclude(target, Result.GRASP_MISSED, target.reason)
         return "emptied"
 
-    def _take(self, target: Target, plan: PickPlan) -> str | None:
-        """Close the jaws on a part; None when they hold it, else why they do not."""
-        motions = self._motions
-        self._holding = target
-        out_of_bin = motions.planner.rise_time(plan.approach, motions.climb) if motions.climb else 0.0
-        motions.retreat = None
-        arrival = motions.follow(plan.approach, plan.grasp.opening, out_of_bin)
-        refusal = proof.obstruction(arrival, plan.approach)
-        if refusal is None:
-            report = motions.grip(proof.closing_target(plan.grasp, self.rig.arm.description.gripper))
-            refusal = proof.refusal(report, plan.grasp, target.located.sigma) if self.rig.pick_proof else None
-        return refusal
-
     def _nudge(self) -> bool:
         """Push a part or its neighbour so that the jaws find room at the next look; False when no push helps."""
         motions = self._motions
@@ -352,24 +324,17 @@ class Sorter:
             return False
         _, plan = chosen
         self.rig.ledger.note("nudge", self.rig.clock.now(), center=plan.moved.center, by=plan.by)
-        self._overcome(LedgerError)
+        self._holding.overcome(LedgerError)
         for observer in self.rig.observers:
             observer.nudging(plan)
-        out_of_bin = motions.planner.rise_time(plan.approach, motions.climb) if motions.climb else 0.0
-        motions.retreat = None
-        arrival = motions.follow(plan.approach, plan.opening, out_of_bin)
-        if proof.obstruction(arrival, plan.approach) is None:
-            motions.follow(plan.push)
-            motions.follow(plan.retreat)
-        else:
-            motions.home()
+        motions.push(plan)
         for observer in self.rig.observers:
             observer.nudged(plan)
         return True
 
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:
         """Let go of whatever it is, and go where the camera sees all."""
-        self._holding = None
+        self._gripped = None
         target.reason = refusal
         for observer in self.rig.observers:
             observer.failed(plan, refusal)
@@ -381,7 +346,7 @@ class Sorter:
 
     def _look_ahead(self, plan: PickPlan) -> None:
         """Begin the next look, when the camera sees past the arm and somebody will want it."""
-        if self.rig.config.cycle.picks_per_look > 1 or self._pause.is_set():
+        if self.rig.config.cycle.picks_per_look > 1 or self._requests.paused:
             return
         since = self._motions.clear_from(plan.carry)
         if since is not None:
@@ -391,72 +356,15 @@ class Sorter:
 
     def _hold_for(self, error: SorterError) -> str:
         """Hold for something that may pass; where nobody operates the cell, not for ever."""
-        now = self.rig.clock.now()
         self._looker.forget()
-        known = self._held is not None and self._held.is_for(error)
-        self._held = self._held or Hold(error, now)
-        self._held.failed(error, now)
-        self._go_on.clear()
-        if not known:
-            for observer in self.rig.observers:
-                observer.held(error, now)
-        if self._until_empty and self._held.too_long:
-            return self._latch(error)
+        try:
+            self._holding.failed(error)
+        except SorterError as lasting:
+            return self._latch(lasting)
         return "held_on" if self.machine.state is State.HELD else "held"
 
     def _hold(self) -> str:
-        held = self._held
-        if held is not None and isinstance(held.cause, PartHeld):
-            return self._wait_for_help(held)
-        if self._pause.is_set() or (held is not None and self.rig.clock.now() < held.next_try):
-            self.rig.clock.sleep(SLICE)
-            return "held_on"
-        if held is not None and isinstance(held.cause, Intruder):
-            return self._wait_for_clear_view(held)
-        if held is not None and isinstance(held.cause, CameraError):
-            self.rig.camera.close()
-            self.rig.camera.open()
-        elif held is not None:
-            self._outcomes.write()
-            self.rig.ledger.note("resumed", self.rig.clock.now(), held_s=self.rig.clock.now() - held.since)
-        return "resumed"
-
-    def _wait_for_help(self, held: Hold) -> str:
-        """Nothing opens the jaws again before somebody who has looked says so."""
-        if self._go_on.is_set():
-            self._go_on.clear()
-            return "rehomed"
-        return self._wait_on(held, SLICE)
-
-    def _wait_for_clear_view(self, held: Hold) -> str:
-        """Nothing moves before the table is clear, and somebody says so or the configuration allows to go on.
-
-        Raises:
-            Intruder: It is still there.
-        """
-        clock, patience = self.rig.clock, self.rig.config.cycle.resume_when_clear_s
-        frame = self._looker.capture(clock.now())
-        self._looker.check(frame)
-        held.clear(clock.now())
-        if self._go_on.is_set() or (patience > 0.0 and clock.now() - held.clear_since >= patience):
-            self._go_on.clear()
-            self._overcome(Intruder)
-            return "resumed"
-        return self._wait_on(held, GLANCE)
-
-    def _wait_on(self, held: Hold, seconds: float) -> str:
-        held.next_try = self.rig.clock.now()
-        if self._until_empty and held.too_long:
-            return self._latch(held.cause)
-        self.rig.clock.sleep(seconds)
-        return "held_on"
-
-    def _overcome(self, kind: type[SorterError]) -> None:
-        """What the cell held for works again."""
-        if self._held is not None and isinstance(self._held.cause, kind):
-            self._held = None
-            for observer in self.rig.observers:
-                observer.resumed(self.rig.clock.now())
+        return self._holding.step(self._looker)
 
     # --- the end --------------------------------------------------------------------------------------
 
@@ -474,9 +382,9 @@ class Sorter:
     def _shut_down(self) -> str:
         """Park and let go of the torque; the trigger says whether that went well."""
         try:
-            if self._holding is not None:
-                self._outcomes.conclude(self._holding, Result.ABORTED, "stopped while the arm was at work on it")
-                self._holding = None
+            if self._gripped is not None:
+                self._outcomes.conclude(self._gripped, Result.ABORTED, "stopped while the arm was at work on it")
+                self._gripped = None
             self._motions.park()
         except SorterError as error:
             return self._latch(error)
@@ -484,9 +392,9 @@ class Sorter:
 
     def _settle(self, reason: str) -> None:
         """Nobody knows any more what becomes of the part that the arm was at work on."""
-        if self._holding is not None:
-            self._outcomes.conclude(self._holding, Result.INDETERMINATE, reason)
-            self._holding = None
+        if self._gripped is not None:
+            self._outcomes.conclude(self._gripped, Result.INDETERMINATE, reason)
+            self._gripped = None
 
     def _come_to_rest(self) -> None:
         """Park and let go of the torque when the arm still does as it is told, else leave it holding."""

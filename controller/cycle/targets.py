@@ -14,9 +14,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from controller.domain import LocatedObject, PickPlan, Shape
+from controller.cycle.doubt import nameless
+from controller.domain import LocatedObject, PickPlan, Point, Shape
 
 VERY_PLACE_MM = 15.0
 """Nearer than half of the narrowest part (34 mm) there is room for one part only, whatever it was taken for."""
@@ -48,7 +49,8 @@ class Target:
         attempts: How often motion was started for it.
         plan: The last plan.
         lost: It left its place without arriving: it may lie anywhere.
-        nudges: How often something was pushed to make room for it.
+        nudges: How often something was pushed to make room for it since `nudged_among` targets had their outcome.
+        pushed: Where what was pushed for it lay before, and by how much it was, `table`, mm.
         rests_until: So many targets must have their outcome before it is tried again.
         doubtful: It may lie on its side: what it looks like is not what it is.
     """
@@ -61,6 +63,8 @@ class Target:
     lost: bool = False
     reason: str = ""
     nudges: int = 0
+    nudged_among: int = 0
+    pushed: list[tuple[Point, Point]] = field(default_factory=list)
     rests_until: int = 0
     doubtful: bool = False
 
@@ -149,7 +153,7 @@ class TargetBook:
             doubtful |= {i for i in free if not _near(seen[i].center, self._previous, SAME_PLACE_MM)}
         self._doubtful = [seen[i].center for i in doubtful]
         named = [
-            dataclasses.replace(_nameless(thing) if i in doubtful else thing, target_id=ids.get(i, ""))
+            dataclasses.replace(nameless(thing) if i in doubtful else thing, target_id=ids.get(i, ""))
             for i, thing in enumerate(seen)
         ]
         gone = [t for t in self._open.values() if t.attempts and t.target_id not in ids.values()]
@@ -168,7 +172,7 @@ class TargetBook:
                 continue
             if distance > SAME_PLACE_MM:
                 newcomer = not _near(thing.center, self._previous, SAME_PLACE_MM)
-                if not ((target.attempts or target.nudges) and newcomer):
+                if not ((target.attempts or target.pushed) and newcomer):
                     continue
             if distance < best_distance:
                 best, best_distance = index, distance
@@ -216,9 +220,3 @@ def _toppled(before: LocatedObject, now: LocatedObject) -> bool:
 
 def _near(place: tuple[float, float], places: Sequence[tuple[float, float]], within: float) -> bool:
     return any(math.dist(place, other) <= within for other in places)
-
-
-def _nameless(thing: LocatedObject) -> LocatedObject:
-    """The thing without what it was taken for."""
-    detection = dataclasses.replace(thing.detection, shape=Shape.OTHER, label=str(Shape.OTHER))
-    return dataclasses.replace(thing, detection=detection)

@@ -21,17 +21,18 @@ from controller.geometry import angle_difference
 TIP_HEIGHT = 4.0
 # Room between an open jaw and the part on each side: generous first, then what a tight place allows.
 OPENING_MARGINS = (5.0, 2.5)
+# What has no known shape may bulge below the outline that is seen from above.
+_UNKNOWN_MARGIN = 15.0
 # A jaw may not come nearer to anything else than this: arm and localisation errors together.
 MIN_CLEARANCE = 2.0
 ENOUGH_CLEARANCE = 8.0
 BIN_WALL = 4.0  # thickness that is kept clear of, mm
 _OUTLINE_STEP = 2.0  # mm between the points an obstacle is made of; below MIN_CLEARANCE nothing slips through
 _CIRCLE_DIRECTIONS = 12
-# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle turned by more is
-# squeezed out (physics study of 12 picks a cell, friction 0.3 to 0.8).
+# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle is held however it lies, the
+# jaws before its corner (physics study of 12 picks a cell, friction 0.3 to 0.8).
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
-_TRIANGLE_TURN = math.radians(20.0)
 # Beyond these the jaws do not bring it flush but hold two opposite corners, which slip out at friction 0.3.
 _CORNER_TURN = {Shape.SQUARE: math.radians(26.0), Shape.RECTANGLE: math.radians(40.0)}
 # Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot. What is
@@ -88,12 +89,12 @@ def sides(part: LocatedObject) -> tuple[Side, ...]:
 def oblique_sides(part: LocatedObject) -> tuple[Side, ...]:
     """Directions a little off the flats, for when no flat is free: the closing jaws turn the part flush.
 
-    Empty for a triangle, which may be squeezed out, and for what has no flats.
+    Empty for what has no flats.
     """
-    if part.shape not in (Shape.SQUARE, Shape.RECTANGLE, Shape.HEXAGON):
+    if part.shape in (Shape.CIRCLE, Shape.OTHER):
         return ()
     return tuple(
-        Side((side.direction + turn) % math.pi, _OBLIQUE_QUALITY)
+        _side(part, side.direction + turn, _OBLIQUE_QUALITY)
         for side in sides(part)
         for turn in (-_OBLIQUE_TURN, _OBLIQUE_TURN)
     )
@@ -104,7 +105,9 @@ def shifted_sides(offers: Sequence[Side], part: LocatedObject) -> tuple[Side, ..
     rounded = part.shape is Shape.CIRCLE
     flat = [side for side in offers if rounded or _turned(part, side.direction) <= _FLUSH_TURN]
     shifts = _ROUND_SHIFTS if rounded else _SHIFTS
-    return tuple(replace(side, quality=_SHIFT_QUALITY * side.quality, shift=by) for by in shifts for side in flat)
+    return tuple(
+        replace(side, quality=_SHIFT_QUALITY * side.quality, shift=side.shift + by) for by in shifts for side in flat
+    )
 
 
 def _turned(part: LocatedObject, direction: float) -> float:
@@ -122,11 +125,20 @@ def fixed_side(part: LocatedObject, direction: float, corners: bool = False) -> 
     """
     nearest = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi)))
     turn = 0.0 if part.shape is Shape.CIRCLE else _turned(part, direction)
-    if part.shape is Shape.TRIANGLE and turn > _TRIANGLE_TURN:
-        return None
     if not corners and turn > _CORNER_TURN.get(part.shape, math.pi):
         return None
-    return Side(direction % math.pi, nearest.quality * (1.0 - turn / math.pi))
+    return _side(part, direction, nearest.quality * (1.0 - turn / math.pi))
+
+
+def _side(part: LocatedObject, direction: float, quality: float) -> Side:
+    """A side that a part may lie askew to, the jaws where they do not squeeze it out."""
+    direction %= math.pi
+    if part.shape is not Shape.TRIANGLE:
+        return Side(direction, quality)
+    # It turns about its corner, which must not slide off the jaw's edge.
+    away = part.footprint - np.array(part.center)
+    corner = away[np.argmax(np.abs(away @ np.array([math.cos(direction), math.sin(direction)])))]
+    return Side(direction, quality, float(corner @ np.array([-math.sin(direction), math.cos(direction)])))
 
 
 def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
@@ -234,7 +246,8 @@ def choose(
         widths.append(width)
         # Both jaws touch at the same time when the grasp point lies in the middle of the extent.
         middle = center + axis * (low + high) / 2.0 + side.shift * np.array([-axis[1], axis[0]])
-        for margin in OPENING_MARGINS:
+        unknown = (_UNKNOWN_MARGIN,) if part.shape is Shape.OTHER else ()
+        for margin in (*unknown, *OPENING_MARGINS):
             opening = min(width + 2.0 * (margin + part.sigma), widest)
             if opening - width < 2.0 * OPENING_MARGINS[-1] or width < narrowest:
                 continue

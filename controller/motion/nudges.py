@@ -25,7 +25,7 @@ TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the 
 BUMP = 3.0  # mm a pushed part keeps from others: it may turn a little on its way
 AREA_MARGIN = 5.0  # mm that a pushed part's middle keeps from the border of the area
 _NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp
-_ASIDE = (0.0, 6.0, -6.0)  # mm by which the box may push beside the part's middle
+_ASIDE = (0.0, 6.0, -6.0, 18.0, -18.0)  # mm by which the box may push beside the part's middle; one finger by the last
 _HEADINGS = 16
 SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a part's width
 _INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: straight into it moves both alike
@@ -38,6 +38,8 @@ _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed
 # What makes one push better than another that frees the target as well, in mm of travel.
 _COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
 _BOTH = 2.0  # mm within which both fingers meet a part about at once
+_SAME_PLACE, _SAME_WAY = 3.0, 0.9  # mm; cosine: what is pushed so again has not given way
+_BACK = 12.0  # mm about where a part lay before it was pushed: it is not pushed there again
 _MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
 
 
@@ -73,6 +75,7 @@ def pushes(
     area: Array,
     gripper: Gripper,
     tangent: Callable[[Point], float] | None,
+    tried: Sequence[tuple[Point, Point]] = (),
 ) -> list[Push]:
     """Pushes after which the target should have a free grasp, best first.
 
@@ -83,9 +86,10 @@ def pushes(
         area: ndarray of shape (N, 2): outline that what is pushed must stay in, mm.
         gripper: The gripper.
         tangent: Closing direction of an arm without wrist roll at a point of `table`, rad; None with a roll.
+        tried: Earlier pushes that have not freed it: where what was pushed lay, and (dx, dy) by which it was, mm.
 
     Raises:
-        NoClearGrasp: No push would free it.
+        NoClearGrasp: No push, or no other, would free it.
     """
     scene = _Scene(target, tuple(others), tuple(bins), np.ascontiguousarray(area, np.float32), gripper, tangent)
     found: list[Push] = []
@@ -99,6 +103,7 @@ def pushes(
                     found.append(freed)
     # Where more than one neighbour stands in the way no single push is enough: one that loosens the heap is a start.
     found = found or [push for moved in (target, *scene.neighbours()) for push in scene.shoves(moved)]
+    found = [push for push in found if not any(_again(push, *earlier) for earlier in tried)]
     if not found:
         x, y = target.center
         raise NoClearGrasp(
@@ -273,6 +278,13 @@ class _Scene:
         except NoClearGrasp:
             return False
         return True
+
+
+def _again(push: Push, lay: Point, by: Point) -> bool:
+    """Whether a push repeats one that has moved nothing, or takes what was pushed back to where it lay."""
+    ahead = np.array(push.by) / math.hypot(*push.by)
+    stays = math.dist(push.moved.center, lay) < _SAME_PLACE and float(ahead @ by) > _SAME_WAY * math.hypot(*by)
+    return stays or math.dist(np.array(push.moved.center) + push.travel * ahead, lay) < _BACK
 
 
 def _distance(a: LocatedObject, b: LocatedObject) -> float:

@@ -112,7 +112,7 @@ class Planner:
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
                 sooner than in the ready pose, and as near to the next part.
             climb: mm that the way begins straight up, because the arm stands deep in a bin.
-            corners: Whether a part may be held by two corners, which may slip: for when nothing has turned it.
+            corners: Whether a part may be held by two corners, which may slip: for when nothing else can be taken.
 
         Raises:
             NoClearGrasp: The jaws have no room, or the part does not suit them.
@@ -140,6 +140,7 @@ class Planner:
         start: Array,
         *,
         climb: float = 0.0,
+        tried: Sequence[tuple[Point, Point]] = (),
     ) -> NudgePlan:
         """A push of a part or its neighbour after which the part can be taken, approved as a whole.
 
@@ -149,16 +150,17 @@ class Planner:
             area: ndarray of shape (N, 2): outline in `table` that what is pushed must stay in, mm.
             start: ndarray of shape (J,): measured joint angles, rad.
             climb: mm that the way begins straight up, because the arm stands deep in a bin.
+            tried: Earlier pushes for this part, which have not freed it: where what was pushed lay, and by how much.
 
         Raises:
-            NoClearGrasp: No push would free it.
+            NoClearGrasp: No push, or no other, would free it.
             Unreachable: Every push lies outside the reach.
             LimitViolation: The gate refuses every push.
         """
         q0 = self._moves.start(start)
         tangent = None if self.turns_jaws else self._postures.tangent
         failure: PlanError | None = None
-        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent):
+        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried):
             try:
                 return self._nudge(target, push, others, q0, climb)
             except (Unreachable, LimitViolation) as error:

@@ -21,7 +21,11 @@ from sim_backends.virtual_dynamixel.servo import HOUSEKEEPING, ServoSpec, Virtua
 
 PATIENCE = 0.1
 """s of silence after which servos forget an unfinished packet. Assumption."""
-_PIECE = 16  # bytes of a fast read's reply that are handed over together
+_PIECE = 62
+"""Bytes that an adapter hands over together at most: a USB packet of 64 less its two of status.
+
+Source: FTDI AN232B-04, "Data Throughput, Latency and Handshaking".
+"""
 Replies = list[tuple[float, bytes]]
 
 

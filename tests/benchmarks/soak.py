@@ -207,12 +207,12 @@ class Soak(Observer):
         self.found.supplies += 1
         person = Person(world, cell.spec.work_area)
         for index in range(len(world.parts)):
-            world.take_away(index)
+            world.loose.take_away(index)
         for index in self._random.permutation(len(world.parts)):
             place = person.room_for(world.parts[index], self._random)
             if place is not None:
                 (x, y), yaw = place
-                world.lay_at(int(index), float(x), float(y), yaw)
+                world.loose.lay_at(int(index), float(x), float(y), yaw)
         world.forget(self._now() - 60.0)
         world.collisions.clear()
         self._operator = self._operator or ControlClient(Path(os.environ["STATE_DIRECTORY"]))

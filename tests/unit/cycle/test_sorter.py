@@ -409,7 +409,7 @@ def test_a_stop_is_obeyed_while_the_cell_holds(monkeypatch: pytest.MonkeyPatch) 
     bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 20
     bench.arm.open()
     sorter = bench.sorter()
-    bench.on_sleep = lambda now: sorter.request_stop() if now > 20.0 and not sorter._stop.is_set() else None
+    bench.on_sleep = lambda now: sorter.request_stop() if now > 20.0 and not sorter._requests.stopped else None
     sorter.run()
     assert sorter.fault is None
     assert bench.clock.now() < 25.0

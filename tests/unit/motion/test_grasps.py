@@ -108,8 +108,6 @@ def test_four_joints_take_what_lies_favourably() -> None:
     tangential = math.pi / 2
     for shape in PARTS:
         assert grasps.fixed_side(part(shape, 40.0, at(200.0, 0.0), 0.0), tangential) is not None
-    turned = part(Shape.TRIANGLE, 40.0, at(200.0, 0.0), math.radians(30.0))
-    assert grasps.fixed_side(turned, tangential) is None
     straight = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.0), tangential)
     oblique = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.4), tangential)
     assert straight is not None
@@ -118,3 +116,16 @@ def test_four_joints_take_what_lies_favourably() -> None:
     cornered = part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.7)
     assert grasps.fixed_side(cornered, tangential) is None
     assert grasps.fixed_side(cornered, tangential, corners=True) is not None
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))
+def test_a_triangle_that_lies_askew_has_its_corner_before_the_middle_of_a_jaw(yaw: float, tangent: float) -> None:
+    thing = part(Shape.TRIANGLE, 40.0, (10.0, 20.0), yaw)
+    side = grasps.fixed_side(thing, tangent)
+    assert side is not None
+    axis = np.array([math.cos(side.direction), math.sin(side.direction)])
+    left = np.array([-axis[1], axis[0]])
+    away = thing.footprint - np.array(thing.center) - side.shift * left
+    # Of two corners as far out, which a triangle turned by 30 deg has, either will do.
+    outermost = away[np.abs(away @ axis) > np.abs(away @ axis).max() - 1e-3]
+    assert np.abs(outermost @ left).min() < 1e-6

@@ -106,13 +106,26 @@ def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, a
     assert polygon_gap(counter_clockwise(boxes(plan, planner)[0]), plan.moved.footprint) > 1.0
 
 
-def test_a_triangle_that_would_be_squeezed_out_is_turned() -> None:
+def test_a_square_that_would_be_held_by_two_corners_is_turned() -> None:
     planner = PLANNERS[OMX.name]
-    target = part(Shape.TRIANGLE, 40.0, at(200.0, 0.0), math.radians(30.0))
+    target = part(Shape.SQUARE, 40.0, at(200.0, 0.0), math.radians(45.0))
     with pytest.raises(NoClearGrasp, match="not hold"):
         planner.plan_pick(target, (), planner.bins[0], planner.bins[0].center, np.array(OMX.ready))
     plan = planner.plan_nudge(target, (), AREA, np.array(OMX.ready))
     assert plan.moved is target
+
+
+def test_a_push_that_did_not_help_is_neither_repeated_nor_undone() -> None:
+    planner = PLANNERS[OMX.name]
+    target = part(Shape.RECTANGLE, 50.0, at(200.0, 0.0), math.radians(40.0))
+    start = np.array(OMX.ready)
+    first = planner.plan_nudge(target, (), AREA, start)
+    tried = [(target.center, first.by)]
+    again = planner.plan_nudge(target, (), AREA, start, tried=tried)
+    assert np.dot(again.by, first.by) < 0.9 * math.hypot(*again.by) * math.hypot(*first.by)
+    there = nudges.lands(target, np.array(first.by))[0]
+    back = planner.plan_nudge(there, (), AREA, start, tried=tried)
+    assert math.dist(np.add(there.center, back.by), target.center) > 10.0
 
 
 def test_a_rectangle_too_wide_as_it_lies_is_turned() -> None:

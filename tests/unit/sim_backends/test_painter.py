@@ -128,7 +128,7 @@ def test_tops_are_of_one_tone_up_to_their_rims() -> None:
     table = cell(parts=8, seed=3)
     away(table)
     painted = table._painter.paint(table.world.snapshot())
-    for part, pose in zip(table.world.parts, table.world.part_poses(), strict=True):
+    for part, pose in zip(table.world.parts, table.world.loose.poses(), strict=True):
         flat = turned(part.outline, 2.0 * math.atan2(pose[6], pose[3])) + pose[:2]
         pixels, _ = table.lens.project(np.column_stack([flat, np.full(len(flat), part.height)]))
         inner = np.zeros(painted.shape[:2], np.uint8)
@@ -140,7 +140,7 @@ def test_tops_are_of_one_tone_up_to_their_rims() -> None:
 def true_edges(cell_: SimulatedCell, index: int) -> list[tuple[Array, Array]]:
     """Points on the true outline in the picture, with the normals that point out of it."""
     part = cell_.world.parts[index]
-    pose = cell_.world.part_poses()[index]
+    pose = cell_.world.loose.poses()[index]
     yaw = 2.0 * math.atan2(pose[6], pose[3])
     ring = part.outline
     share = np.arange(0, 1, 1 / 8 if len(ring) < 12 else 1.0)[:, None]

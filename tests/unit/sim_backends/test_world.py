@@ -194,7 +194,7 @@ def carry(shape: Shape, friction: float, torque: float = GRIP_TORQUE) -> tuple[s
     azimuth = math.radians(110.0)
     rig.to(230.0 * math.cos(azimuth), 230.0 * math.sin(azimuth), 90.0, azimuth + math.pi / 2.0, 0.9)
     rig.grip(58.0, 1.0, 0.6)
-    truth = true_parts(world_.parts, world_.part_poses(), world_.held, BINS, TABLE, TABLE, [True])
+    truth = true_parts(world_.parts, world_.loose.poses(), world_.held, BINS, TABLE, TABLE, [True])
     return truth[0].place, world_
 
 
@@ -247,15 +247,15 @@ def test_the_table_and_a_bin_are_collisions_and_a_long_touch_is_one() -> None:
 def test_parts_taken_aside_come_back_where_they_were() -> None:
     table = world(part(Shape.HEXAGON, 180.0, 60.0, 0.4), part(Shape.CIRCLE, 220.0, -60.0))
     table.advance(0.5)
-    before = table.part_poses()
-    table.set_aside()
+    before = table.loose.poses()
+    table.loose.set_aside()
     table.advance(1.0)
-    assert (table.part_poses()[:, 2] < -500.0).all()
-    assert table.aside
-    table.put_back()
+    assert (table.loose.poses()[:, 2] < -500.0).all()
+    assert table.loose.aside
+    table.loose.put_back()
     table.advance(1.0)
-    assert table.part_poses() == pytest.approx(before, abs=0.02)
-    assert not table.aside
+    assert table.loose.poses() == pytest.approx(before, abs=0.02)
+    assert not table.loose.aside
 
 
 def test_the_past_is_remembered() -> None:
@@ -276,7 +276,7 @@ def test_the_past_is_remembered() -> None:
 
 
 def test_the_same_moves_end_bit_for_bit_the_same() -> None:
-    first, second = (carry(Shape.TRIANGLE, 0.3)[1].part_poses() for _ in range(2))
+    first, second = (carry(Shape.TRIANGLE, 0.3)[1].loose.poses() for _ in range(2))
     assert first.tobytes() == second.tobytes()
 
 

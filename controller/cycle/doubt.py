@@ -1,0 +1,25 @@
+"""What looks like a part of known shape and is not to be believed: it is sorted as what has none."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from controller.domain import LocatedObject, Shape
+
+
+def nameless(thing: LocatedObject) -> LocatedObject:
+    """The thing without what it was taken for."""
+    detection = dataclasses.replace(thing.detection, shape=Shape.OTHER, label=str(Shape.OTHER))
+    return dataclasses.replace(thing, detection=detection)
+
+
+def lies_on_its_side(thing: LocatedObject, narrowest: float) -> bool:
+    """Whether a thing is narrower than any part that lies as it should; a taught class knows its own views.
+
+    A prism that has toppled shows a side as long as one of its own and as wide as it was high: a rectangle.
+
+    Args:
+        thing: What was located.
+        narrowest: Short side of the narrowest part, mm.
+    """
+    return thing.size[1] < narrowest and thing.detection.label == str(thing.shape)

@@ -1,0 +1,79 @@
+"""What is asked of a running cycle from outside: stop, pause, go on; from any thread or signal handler."""
+
+from __future__ import annotations
+
+import threading
+
+from controller.ports import Arm
+
+
+class Requests:
+    """Keeps what was asked for, and tells the arm at once.
+
+    Args:
+        arm: The cell's.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._stop = threading.Event()
+        self._pause = threading.Event()
+        self._was_paused = threading.Event()
+        self._go_on = threading.Event()
+
+    def stop(self) -> None:
+        """Let the arm end its move along the path; a stop is for good, and ends a pause."""
+        self._stop.set()
+        self._arm.request_stop()
+        self.end_pause()
+
+    def pause(self) -> None:
+        """Hold on the path of the move under way, else before the next. A stop ends it."""
+        self._pause.set()
+        self._was_paused.set()
+        self._arm.pause()
+        if self._stop.is_set():
+            self.end_pause()
+
+    def resume(self) -> None:
+        """Go on after a pause, or when what somebody has to put right is put right."""
+        self.end_pause()
+        self._go_on.set()
+
+    def end_pause(self) -> None:
+        """No pause is in force any more."""
+        self._pause.clear()
+        self._arm.resume()
+
+    @property
+    def stopped(self) -> bool:
+        """Somebody has asked for a stop."""
+        return self._stop.is_set()
+
+    @property
+    def paused(self) -> bool:
+        """A pause is in force."""
+        return self._pause.is_set()
+
+    @property
+    def stands(self) -> bool:
+        """A pause is in force, and the arm has come to stand."""
+        return self.paused and self._arm.holds
+
+    @property
+    def was_paused(self) -> bool:
+        """There was a pause since `took_pause` was called last."""
+        return self._was_paused.is_set()
+
+    def took_pause(self) -> None:
+        """What follows from a pause is done."""
+        self._was_paused.clear()
+
+    @property
+    def may_go_on(self) -> bool:
+        """Somebody has said to go on since `must_be_told` was called last."""
+        return self._go_on.is_set()
+
+    def must_be_told(self) -> None:
+        """What was said before does not count for what comes."""
+        self._go_on.clear()
