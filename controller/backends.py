@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from sim_backends.cell_spec import CellSpec
     from sim_backends.disturbances import Disturber
     from sim_backends.fault_script import FaultDirector
-    from sim_backends.parts import Part
 
 
 _LANDMARKS = ((1, 110.0, 290.0), (2, 110.0, -290.0), (3, -80.0, 305.0), (4, -80.0, -305.0))
@@ -76,7 +75,6 @@ class BackendOptions:
         real_time: Simulated world in a process of its own, paced by the wall clock, bus on a pseudo-terminal.
         faults: Script of what goes wrong in the simulated cell.
         disturb: What disturbs the simulated cell, as a wish of `sim_backends.disturbances`.
-        round_part: The only part of the simulated cell is a round one in the middle of the work area, to be touched.
         watch_clock: Wraps the devices' clock, for whoever watches that the cell makes progress.
     """
 
@@ -88,7 +86,6 @@ class BackendOptions:
     real_time: bool = False
     faults: Path | None = None
     disturb: str = ""
-    round_part: bool = False
     watch_clock: Callable[[Clock], Clock] = lambda clock: clock
 
 
@@ -110,8 +107,8 @@ class Devices:
         script: Lets a script's faults happen, where one was given.
         disturbed: What has disturbed the cell so far: kind and s after the work began.
         names: What stands for the serial numbers of simulated devices, by what they are.
-        lay_round_part: Puts a round part into the middle of the work area, where the table is simulated and was built
-            with one; a person does so on a real cell.
+        lay_round_part: Puts a round part into the middle of the work area for an arm without wrist roll, where the
+            table is simulated; a person does so on a real cell.
         closers: Called in reverse order by `close`.
     """
 
@@ -259,7 +256,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         raise InputError("nothing disturbs a cell in real time", "leave --real-time or --disturb out")
     if options.real_time:
         return _served_devices(spec, arm, options)
-    cell = simulated_cell(spec, [_round_part(spec)] if options.round_part else None)
+    cell = simulated_cell(spec)
     servos = [ServoSpec(*servo) for servo in cell.bus_servos]
     bus = VirtualBus(cell.plant, servos, baud=arm.baud, seed=options.seed)
     bus.faults.set_rate(Fault.DROP, cell.imperfections.packet_loss)
@@ -290,7 +287,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         on_step=cell.plant.on_step,
         touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
         names=_simulated_names(options),
-        lay_round_part=cell.scatter if options.round_part else lambda: None,
+        lay_round_part=cell.lay_round_part,
         observers=(
             *([] if script is None else [_Prompter(script)]),
             *([] if cell.disturber is None else [_Disturbed(cell.disturber, config.table.T_base_table())]),
@@ -486,17 +483,6 @@ def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions
         names=_simulated_names(options),
         closers=[server.stop, truth.close, presenter.close],
     )
-
-
-def _round_part(spec: CellSpec) -> Part:
-    """A round part about where a person lays it who was asked for the middle of the work area."""
-    from sim_backends.parts import Part
-
-    random = np.random.default_rng([spec.seed, 13])
-    (near, far), (right, left) = spec.work_area.radius, spec.work_area.azimuth
-    radius, azimuth = (near + far) / 2.0 + random.uniform(-6.0, 6.0), (left + right) / 2.0 + random.uniform(-0.05, 0.05)
-    x, y = radius * math.cos(azimuth), radius * math.sin(azimuth)
-    return Part(Shape.CIRCLE, "blue", 43.0, spec.heights[Shape.CIRCLE], 0.015, 0.4, x, y, 0.0)
 
 
 def _simulated_names(options: BackendOptions) -> Mapping[str, str]:

@@ -22,7 +22,7 @@ from sim_backends.lens import Lens
 from sim_backends.markings import marking_of
 from sim_backends.painter import Image, Painter
 from sim_backends.painter_surface import Print
-from sim_backends.parts import Part, scatter, spare_parts
+from sim_backends.parts import Part, round_part, scatter, spare_parts
 from sim_backends.person import Person, hand_solids
 from sim_backends.plant import Plant
 from sim_backends.solids import Array
@@ -73,6 +73,9 @@ class SimulatedCell:
             sum(event.kind == "add" for event in script),
             spec.seed, imperfections, spec.heights, spec.grips, spec.work_area,
         )  # fmt: skip
+        if len(spec.arm.joints) == 4:
+            # Without a wrist roll it has to touch something to be calibrated.
+            spares = (*spares, round_part(spec.seed, spec.heights, spec.work_area))
         parts = (*laid, *spares)
         self.world = World(
             spec.arm,
@@ -131,6 +134,12 @@ class SimulatedCell:
     def set_aside(self) -> None:
         """Take all parts off the table, e.g. to calibrate."""
         self.world.loose.set_aside()
+
+    def lay_round_part(self) -> None:
+        """Lay the round part that an arm without wrist roll touches onto the table."""
+        index, part = len(self.world.parts) - 1, self.world.parts[-1]
+        self.world.may_touch(index)
+        self.world.loose.lay_at(index, part.x, part.y, part.yaw)
 
     def scatter(self) -> None:
         """Put all parts where the seed has them."""

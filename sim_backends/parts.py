@@ -223,6 +223,15 @@ def spare_parts(
     return tuple(made)
 
 
+def round_part(seed: int, heights: Mapping[Shape, float], area_: WorkArea) -> Part:
+    """A round part about where a person lays it who was asked for the middle of the work area."""
+    random = np.random.default_rng([seed, 13])
+    (near, far), (right, left) = area_.radius, area_.azimuth
+    radius, azimuth = (near + far) / 2.0 + random.uniform(-6.0, 6.0), (left + right) / 2.0 + random.uniform(-0.05, 0.05)
+    x, y = radius * math.cos(azimuth), radius * math.sin(azimuth)
+    return Part(Shape.CIRCLE, "blue", 43.0, heights[Shape.CIRCLE], 0.015, 0.4, x, y, 0.0)
+
+
 def _kind(
     random: np.random.Generator,
     shape: Shape,

@@ -185,6 +185,10 @@ class World:
         """Every time the arm touched something else than the part between its jaws."""
         return self._contacts.collisions
 
+    def may_touch(self, index: int) -> None:
+        """Touching this part is no collision: it is there for that."""
+        self._contacts.welcome |= {index}
+
     @property
     def held(self) -> frozenset[int]:
         """Parts that both jaws touch."""

@@ -48,6 +48,7 @@ class Contacts:
     Attributes:
         collisions: Every collision so far.
         held: The parts that both jaws touch.
+        welcome: Parts that are there to be touched.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Contacts:
         self._last_held: dict[int, float] = {}
         self.collisions: list[Collision] = []
         self.held: frozenset[int] = frozenset()
+        self.welcome: frozenset[int] = frozenset()
         self._kinds = np.full(model.ngeom, _OTHER, np.int8)
         self._part_of = np.full(model.ngeom, -1, np.intp)
         self._names: list[str] = []
@@ -85,7 +87,7 @@ class Contacts:
                     if self._kinds[mine] == _JAW:
                         held.setdefault(part, set()).add(self._names[mine])
                     continue
-                if now - self._last_held.get(part, -math.inf) > _LETTING_GO:
+                if part not in self.welcome and now - self._last_held.get(part, -math.inf) > _LETTING_GO:
                     self._collide(self._names[mine], self._names[other], now)
         self.held = frozenset(part for part, jaws in held.items() if len(jaws) == 2)
         self._last_held.update(dict.fromkeys(self.held, now))

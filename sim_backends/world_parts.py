@@ -97,6 +97,7 @@ class LooseParts:
         """Lay a part on the table at (x, y) of `base`, mm, turned by `yaw`, rad."""
         self._lay(index, x, y, yaw)
         self._away.discard(index)
+        self.aside = False
         self._settled()
 
     def shove(self, index: int, velocity: tuple[float, float], spin: float) -> None:

@@ -13,6 +13,15 @@ def nameless(thing: LocatedObject) -> LocatedObject:
     return dataclasses.replace(thing, detection=detection)
 
 
+TALL_MM = 45.0
+"""A prism on its side is as high as one of its own sides: this much may stand there."""
+
+
+def toppled(thing: LocatedObject) -> LocatedObject:
+    """A thing that lies on its side: it has no name, and is higher than it was taken for."""
+    return dataclasses.replace(nameless(thing), height=max(thing.height, TALL_MM))
+
+
 def lies_on_its_side(thing: LocatedObject, narrowest: float) -> bool:
     """Whether a thing is narrower than any part that lies as it should; a taught class knows its own views.
 

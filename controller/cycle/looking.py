@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.cycle.doubt import lies_on_its_side, nameless
+from controller.cycle.doubt import lies_on_its_side, toppled
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
 from controller.cycle.view import Backdrop, region_mask
@@ -118,7 +118,7 @@ class Looker:
         self._guard.check_things(found)
         things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
         narrowest = config.vision.narrowest_mm
-        return found, [nameless(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
+        return found, [toppled(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
 
     def check(self, frame: Frame) -> None:
         """Look for nothing but what should not be there.

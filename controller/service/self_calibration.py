@@ -100,7 +100,7 @@ def open_cell(options: CalibrationOptions) -> Iterator[tuple[Devices, Path]]:
     with ExitStack() as stack:
         if not options.sim:
             stack.enter_context(InstanceLock(state_folder()))
-        backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level, round_part=True)
+        backend = BackendOptions(out=Path(), parts=1, seed=options.seed, level=options.level)
         devices = DEVICES[Mode.SIM if options.sim else Mode.REAL](options.config, description, backend)
         stack.callback(devices.close)
         devices.clear_table()

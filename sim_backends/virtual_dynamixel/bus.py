@@ -21,8 +21,9 @@ from sim_backends.virtual_dynamixel.servo import HOUSEKEEPING, ServoSpec, Virtua
 
 PATIENCE = 0.1
 """s of silence after which servos forget an unfinished packet. Assumption."""
-_PIECE = 62
-"""Bytes that an adapter hands over together at most: a USB packet of 64 less its two of status.
+_USB_PACKET, _FLUSH = 62, 1e-3
+"""Bytes that an adapter hands over together at most, and how long it waits for so many at most, s: a packet of 64 less
+its two of status, and the shortest latency timer.
 
 Source: FTDI AN232B-04, "Data Throughput, Latency and Handshaking".
 """
@@ -219,10 +220,11 @@ class VirtualBus:
             return [(self._handed_over(arrival), packet)] if packet else []
         # An adapter does not wait for the end of a packet that many servos talk into.
         byte_time = 10.0 / self._listeners.baud
-        ends = [min(start + _PIECE, len(packet)) for start in range(0, len(packet), _PIECE)]
+        piece = max(1, min(_USB_PACKET, int(_FLUSH / byte_time)))
+        ends = [min(start + piece, len(packet)) for start in range(0, len(packet), piece)]
         return [
             (self._handed_over(arrival - (len(packet) - end) * byte_time), packet[start:end])
-            for start, end in zip(range(0, len(packet), _PIECE), ends, strict=True)
+            for start, end in zip(range(0, len(packet), piece), ends, strict=True)
         ]
 
     def _handed_over(self, arrival: float) -> float:
