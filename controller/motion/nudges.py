@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Array, Bin, Gripper, LocatedObject, Point, Shape
 from controller.errors import NoClearGrasp
-from controller.geometry import wrap
+from controller.geometry import angle_difference, wrap
 from controller.motion import grasps
 
 GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
@@ -32,6 +32,7 @@ _INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: s
 _COST_INTO = 20.0  # 45 deg into two of them still parts them best
 _TAKES_ALONG = 0.5  # cosine above which a neighbour is taken along
 _LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
+_LEAST_TURN = math.radians(15.0)  # less is not worth a push of its own
 _TURNING_TRAVEL = 30.0  # mm after which a part of up to 50 mm lies with a side against the box
 _LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the middle
 _HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
@@ -101,6 +102,8 @@ def pushes(
                 freed = scene.first_that_frees(push, rest)
                 if freed is not None:
                     found.append(freed)
+    if not found and scene.lies_askew:
+        found = list(scene.turnings())
     # Where more than one neighbour stands in the way no single push is enough: one that loosens the heap is a start.
     found = found or [push for moved in (target, *scene.neighbours()) for push in scene.shoves(moved)]
     found = [push for push in found if not any(_again(push, *earlier) for earlier in tried)]
@@ -154,6 +157,27 @@ class _Scene:
                 by = (GAP + moved.sigma + push.slack + SHOVE) * ahead
                 cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
                 yield replace(push, by=(float(by[0]), float(by[1])), travel=SHOVE, cost=cost)
+
+    @property
+    def lies_askew(self) -> bool:
+        """The jaws could not take the target with nothing around it."""
+        return not self.can_be_taken(self.target, np.empty((0, 2)))
+
+    def turnings(self) -> Iterable[Push]:
+        """Pushes that turn the target, for where a single one does not turn it far enough; the further the better."""
+        target = self.target
+        blocked = self.solid_about(target)
+        for heading, direction in self.headings(target):
+            for push in self.free_pushes(target, heading, direction, blocked):
+                ahead = np.array(push.by)
+                if push.lever == 0.0 or push.travel < _TURNING_TRAVEL:
+                    continue
+                end = lands(target, _TURNING_TRAVEL * ahead)[-1]
+                turn = abs(angle_difference(end.yaw or 0.0, target.yaw or 0.0, target.shape.period or math.pi))
+                if turn > _LEAST_TURN and self._inside(np.array(end.center)):
+                    by = (GAP + target.sigma + push.slack + _TURNING_TRAVEL) * ahead
+                    cost = push.cost - math.degrees(turn)
+                    yield replace(push, by=(float(by[0]), float(by[1])), travel=_TURNING_TRAVEL, cost=cost)
 
     def _inside(self, place: Array) -> bool:
         return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
@@ -238,7 +262,7 @@ class _Scene:
         """The push with the least travel after which the target can be taken past the `rest`, or None."""
         ahead, moved = np.array(push.by), push.moved
         # What the jaws could not take with nothing around is pushed in order to be turned.
-        turns = moved is self.target and not self.can_be_taken(moved, np.empty((0, 2)))
+        turns = moved is self.target and self.lies_askew
         gap = GAP + moved.sigma
         for travel in TRAVELS:
             if turns and travel < _TURNING_TRAVEL:
