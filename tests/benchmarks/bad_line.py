@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +24,6 @@ from controller.errors import ArmError
 from drivers.arm.bus import Bus
 from drivers.arm.conversions import TICKS_PER_RAD
 from drivers.arm.protocol import Status
-from drivers.arm.replies import Reply
 from sim_backends.virtual_dynamixel.faults import Fault, FaultInjector
 from sim_backends.virtual_dynamixel.protocol import BROADCAST, unstuff
 from tests.contract.arm_suite import STANDS, quintic
@@ -101,29 +100,30 @@ class _Witness(FaultInjector):
 
 def _compare(bus: Bus, witness: _Witness, found: Found) -> None:
     """From now on hold every answer the bus takes against what the servos said to that question."""
-    sync_pass, ask = bus._sync_pass, bus._ask
+    line = bus._line
+    ask, ask_all = line.ask, line.ask_all
 
-    def checked_pass(servo_ids: list[int], address: int, size: int, fast: bool) -> list[Status]:
+    def checked_ask_all(servo_ids: Sequence[int], address: int, size: int, fast: bool) -> list[Status]:
         witness.packets.clear()
-        taken = sync_pass(servo_ids, address, size, fast)
-        said = witness.said(size)
+        padded = size + line._pad
+        taken = ask_all(servo_ids, address, size, fast)
+        said = witness.said(padded)
         found.values += len(taken)
         found.missed += len(servo_ids) - len(taken)
         found.wrong += sum((status.servo_id, status.error, status.data) not in said for status in taken)
         return taken
 
-    def checked_ask(
-        servo_id: int, instruction: int, parameters: bytes, size: int, operation: str, retries: int
-    ) -> Reply:
+    def checked_ask(servo_id: int, instruction: int, parameters: bytes, size: int, latency: float) -> Status | None:
         witness.packets.clear()
-        reply = ask(servo_id, instruction, parameters, size, operation, retries)
-        found.values += 1
-        found.wrong += (servo_id, reply.error, reply.data) not in witness.said(size)
-        return reply
+        status = ask(servo_id, instruction, parameters, size, latency)
+        if status is not None:
+            found.values += 1
+            found.wrong += (servo_id, status.error, status.data) not in witness.said(size)
+        return status
 
     # Only here is it known which question an answer was taken for; mypy forbids to replace a method by assignment.
-    bus._sync_pass = checked_pass  # type: ignore[method-assign]
-    bus._ask = checked_ask  # type: ignore[method-assign]
+    line.ask_all = checked_ask_all  # type: ignore[method-assign]
+    line.ask = checked_ask  # type: ignore[method-assign]
 
 
 class Session:

@@ -31,7 +31,8 @@ from hypothesis import strategies as st
 
 from controller.errors import BusError
 from drivers.arm import protocol
-from drivers.arm.bus import LATE_REPLY, Bus
+from drivers.arm.bus import Bus
+from drivers.arm.line import LATE_REPLY
 from drivers.arm.sdk_port import SdkPort
 from drivers.arm.servos import TELEMETRY
 from sim_backends.virtual_dynamixel.faults import Fault
@@ -457,7 +458,7 @@ def test_the_stock_sdk_agrees_over_our_port() -> None:
         plant.place(servo_id, 0.1 * servo_id)
     wanted = bus.sync_read_register(IDS, "Present_Position")
     bus.close()
-    port = SdkPort(bus._stream, PlantClock(plant), 1_000_000)
+    port = SdkPort(bus._line._stream, PlantClock(plant), 1_000_000)
     assert port.openPort()
     handler = sdk.PacketHandler(2.0)
     assert handler.ping(port, 3) == (1020, 0, 0)
