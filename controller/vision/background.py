@@ -36,11 +36,15 @@ class Whitened:
         difference: ndarray of shape (H, W, 3), dtype float32: whitened difference from the table.
         whitener: ndarray of shape (3, 3): maps a difference in BGR levels to whitened units.
         table_colour: ndarray of shape (3,): the table's mean colour, BGR levels.
+        fine: ndarray of shape (3, 3): maps a whitened difference to units of the table's variation from pixel to pixel.
+            Texture is mostly gray and coarse, noise fine and of all colours: edges, which are steps between pixels,
+            stand out in these units, the gray ones above all.
     """
 
     difference: Floats32
     whitener: Floats
     table_colour: Floats
+    fine: Floats
 
 
 def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = None) -> Whitened:
@@ -69,7 +73,10 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
         out[box] = cv2.transform(cv2.subtract(reference[box], surface[box]), matrix)
     colours = samples if empty is None else _columns(image[grid, grid])
     colour = colours @ (weight + np.float32(1e-6)) / (weight.sum() + 1e-6 * len(weight))
-    return Whitened(out, whitener, colour.astype(np.float64))
+    beside = np.minimum(np.arange(step // 2, width, step) + 1, width - 1)
+    steps = samples - _columns(reference[grid, beside])
+    fine = np.linalg.inv(np.linalg.cholesky(_robust_covariance(steps, weight) + _LEAST))
+    return Whitened(out, whitener, colour.astype(np.float64), fine @ np.linalg.inv(whitener))
 
 
 _POWERS = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from controller.vision.background import Box, Whitened
 
+Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
 Contour = MatLike
@@ -28,8 +29,10 @@ _SHORT = 8
 """Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
 """Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
-_HINT = 2.5
-"""Edge energy, over its median, that is worth a closer look at half the size."""
+_EDGE, _FAINT_EDGE = 3.5, 2.5
+"""Edge energy, over its median, of clear edges, and of faint ones, looked for at half the size."""
+FAINT = 2.0
+"""Faint edges are looked for around what reaches no more than so many times the level of a proposal."""
 _EDGE_HALF_WIDTH = 1.8
 """By how much the blur of the searched image makes a zone smaller than its object, px."""
 
@@ -41,7 +44,7 @@ class Region:
     Attributes:
         contour: ndarray of shape (N, 2), dtype float32, its outer boundary in pixels of the searched image.
         area: Its area there.
-        cue: `alone`, `level`, `chroma`, `edge`, `zone` or `split`.
+        cue: `alone`, `level`, `chroma`, `edge`, `faint`, `zone` or `split`.
         convex: The region's area over its hull's.
         core: It is what lies above half of the strength of its surroundings, not all that stands out.
     """
@@ -99,14 +102,16 @@ def propose(
         mask = _unknown(above(tint, level), smallest, unknown)
         if mask is not None:
             regions += _components(tint, mask, smallest, "chroma")
-    # A look at half the size tells whether there is anything; where side faces show there always is.
-    if visible is not None or _outlined(white.difference, unknown):
+    # A look at half the size tells whether there is anything; beside what hides the table there always is.
+    faint = _faint_edges(white, smallest, unknown, visible)
+    if visible is not None or faint:
         edges = edge_energy(white.difference)
         typical = _typical(edges, visible)
         if visible is not None:
             edges = _where(visible, edges)
-        regions += _edge_regions(edges, typical, smallest, unknown)
+        regions += _edge_regions(above(edges, _EDGE * typical), smallest, "edge", unknown)
         regions += _zones(edges, typical, smallest, unknown, visible)
+        regions += [item for item in faint if _hardly(strength, item.contour, FAINT * level)]
     return regions
 
 
@@ -115,16 +120,31 @@ def _where(visible: Mask, image: Floats32) -> Floats32:
     return np.asarray(cv2.copyTo(image, visible), np.float32)
 
 
-def _outlined(difference: Floats32, unknown: Unknown) -> bool:
-    """Whether edges may outline something unknown: a look at half the size, where there is less noise."""
-    height, width = difference.shape[0] // 2, difference.shape[1] // 2
-    if min(height, width) < 8:
-        return True
-    half = np.asarray(cv2.resize(difference, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
-    edges = edge_energy(half)
-    mask = above(edges, _HINT * _typical(edges, None))
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return bool(unknown([2 * contour for contour in contours if len(contour) >= _SHORT // 2]))
+def _faint_edges(white: Whitened, smallest: float, unknown: Unknown, visible: Mask | None) -> list[Region]:
+    """Hulls of connected faint edges, at half the size and in fine units, in which there is less noise."""
+    size = white.difference.shape[1] // 2, white.difference.shape[0] // 2
+    half = cv2.resize(white.difference, size, interpolation=cv2.INTER_LINEAR)
+    edges = edge_energy(np.asarray(cv2.transform(half, white.fine.astype(np.float32)), np.float32))
+    if visible is not None:
+        visible = np.asarray(cv2.resize(visible, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+    mask = above(edges, _FAINT_EDGE * _typical(edges, visible))
+    if visible is not None:
+        mask &= visible
+
+    def beyond(contours: Sequence[Contour]) -> list[Contour]:
+        return [contour // 2 for contour in unknown([2 * contour for contour in contours])]
+
+    found = _edge_regions(mask, smallest / 4.0, "faint", beyond)
+    return [replace(item, contour=2.0 * item.contour + 0.5, area=4.0 * item.area) for item in found]
+
+
+def _hardly(strength: Floats32, hull: Floats32, most: float) -> bool:
+    """Whether what a hull (N, 2) holds, well within the picture, has no more than a strength (median)."""
+    x, y, w, h = cv2.boundingRect(hull)
+    if x < 2 or y < 2 or x + w > strength.shape[1] - 2 or y + h > strength.shape[0] - 2:
+        return False
+    inside = cv2.fillConvexPoly(np.zeros((h, w), np.uint8), np.rint(hull).astype(np.int32) - (x, y), (1,))
+    return float(np.median(strength[y : y + h, x : x + w][inside > 0])) < most
 
 
 def _typical(edges: Floats32, visible: Mask | None) -> float:
@@ -152,7 +172,7 @@ def chroma(white: Whitened, strength: Floats32) -> Floats32:
 
 
 def edge_energy(difference: Floats32) -> Floats32:
-    """Magnitudes of the whitened gradients, summed over the channels."""
+    """Magnitudes of the gradients of a difference from the table, summed over the channels."""
     flat = difference.shape[0], difference.shape[1] * 3
     dx = cv2.Sobel(difference, cv2.CV_32F, 1, 0, ksize=3).reshape(flat)
     dy = cv2.Sobel(difference, cv2.CV_32F, 0, 1, ksize=3).reshape(flat)
@@ -183,15 +203,14 @@ def _components(image: Floats32, mask: Mask, smallest: float, cue: str) -> list[
     )
 
 
-def _edge_regions(edges: Floats32, typical: float, smallest: float, unknown: Unknown) -> list[Region]:
-    """Hulls of connected strong edges."""
-    mask = above(edges, 3.5 * typical)
+def _edge_regions(mask: Mask, smallest: float, cue: str, unknown: Unknown) -> list[Region]:
+    """Hulls of connected edges."""
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     found = []
-    for region in _contours(mask, smallest, "edge", unknown=unknown):
+    for region in _contours(mask, smallest, cue, unknown=unknown):
         hull = np.asarray(cv2.convexHull(region.contour)[:, 0], np.float32)
         area = float(cv2.contourArea(hull))
-        found.append(Region(hull, area, "edge", 1.0))
+        found.append(Region(hull, area, cue, 1.0))
     return found
 
 

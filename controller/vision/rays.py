@@ -37,17 +37,20 @@ _TURNS = np.arange(RAYS) * 2.0 * math.pi / RAYS
 DIRECTIONS: Floats = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
 
 
-def find_edges(image: Floats32, centers: Floats, radii: Floats, window: Floats) -> tuple[Floats, Floats]:
+def find_edges(
+    image: Floats32, units: Floats, centers: Floats, radii: Floats, window: Floats
+) -> tuple[Floats, Floats]:
     """The strongest edges on each ray.
 
     Args:
-        image: ndarray of shape (H, W, 3), dtype float32, whitened.
+        image: ndarray of shape (H, W, 3), dtype float32.
+        units: ndarray of shape (K, 3, 3): what steps of the image are multiplied by before they are measured.
         centers: ndarray of shape (K, 2).
         radii: ndarray of shape (K, RAYS): where the edge is expected.
         window: ndarray of shape (K,): how far to either side to look, px.
 
     Returns:
-        edges (K, RAYS, CHOICES, 2) and their strengths (K, RAYS, CHOICES), in whitened units; 0 where there is none.
+        edges (K, RAYS, CHOICES, 2) and their strengths (K, RAYS, CHOICES), in `units`; 0 where there is none.
     """
     step = 2.0 * window / (SAMPLES - 1)
     start = np.maximum(radii - window[:, None], 0.15 * radii)
@@ -55,7 +58,7 @@ def find_edges(image: Floats32, centers: Floats, radii: Floats, window: Floats) 
     x = centers[:, None, None, 0] + t * DIRECTIONS[:, 0, None]
     y = centers[:, None, None, 1] + t * DIRECTIONS[:, 1, None]
     values = bilinear(image, x.astype(np.float32), y.astype(np.float32))
-    slope = values[:, :, 2:] - values[:, :, :-2]
+    slope = (values[:, :, 2:] - values[:, :, :-2]) @ units.transpose(0, 2, 1)[:, None].astype(np.float32)
     slope[:, :, 1:-1] = 0.5 * slope[:, :, 1:-1] + 0.25 * (slope[:, :, 2:] + slope[:, :, :-2])
     strength = np.sqrt(np.einsum("krsc,krsc->krs", slope, slope))
     return _peaks(strength, t, centers)

@@ -18,7 +18,7 @@ from controller.vision.background import Whitened
 from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.profiles import bilinear
-from controller.vision.proposals import Region, split_necks
+from controller.vision.proposals import FAINT, Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
 from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE
@@ -112,7 +112,13 @@ def _fits(
     centers, radii = centers[usable], radii[usable]
     if not regions:
         return [], local_maps(np.empty((0, 2)), np.empty(0), plane), []
-    edges, weight = find_edges(white.difference, centers, radii, np.maximum(3.0, 0.35 * radii.mean(axis=1)))
+    window = np.maximum(3.0, 0.35 * radii.mean(axis=1))
+    # A shadow's edge is gray: only around what hardly stands out does every gray step count.
+    within = (centers[:, None] + 0.6 * radii[..., None] * DIRECTIONS).astype(np.float32)
+    inside = bilinear(white.difference, within[..., 0], within[..., 1])
+    faint = np.median(np.sqrt(np.vecdot(inside, inside)), axis=1) < FAINT * scene.settings.level
+    units = np.where(faint[:, None, None], white.fine, np.eye(3))
+    edges, weight = find_edges(white.difference, units, centers, radii, window)
     watch.lap("rays")
     full = centers * factor + (factor - 1) / 2.0
     maps = local_maps(full, (radii.max(axis=1) + 6.0) * factor * 1.3, plane)

@@ -22,6 +22,7 @@ from tests.unit.vision.pictures import at, corners, frame, paint
 RECIPE = load_recipe("precise")
 DARK = (70.0, 75.0, 65.0)
 KNOWN = [Shape.SQUARE, Shape.RECTANGLE, Shape.CIRCLE, Shape.HEXAGON, Shape.TRIANGLE]
+FAINT_ROW = [(Shape.CIRCLE, 120.0), (Shape.SQUARE, 320.0), (Shape.HEXAGON, 520.0)]
 
 
 def found(image: NDArray[np.uint8]) -> tuple[Detection, ...]:
@@ -94,7 +95,8 @@ def test_a_frame_full_of_specks_is_looked_at_whole() -> None:
     image[4::9, 4::9] = image[5::9, 4::9] = image[4::9, 5::9] = image[5::9, 5::9] = 90
     centers = np.stack(np.meshgrid(np.arange(4.5, 640.0, 9.0), np.arange(4.5, 72.0, 9.0)), axis=-1).reshape(-1, 2)
     edges, weight = find_edges(
-        image.astype(np.float32), centers, np.full((len(centers), RAYS), 2.0), np.full(len(centers), 3.0)
+        image.astype(np.float32), np.broadcast_to(np.eye(3), (len(centers), 3, 3)), centers,
+        np.full((len(centers), RAYS), 2.0), np.full(len(centers), 3.0),
     )
     assert edges.shape[0] == weight.shape[0] == len(centers) > 511
     # A speck of 2 x 2 px between two pixels: the first and the last are the same, seen on the same rays.
@@ -243,3 +245,14 @@ def test_no_picture_crashes_it(seed: int, width: int, height: int, smooth: float
         assert np.isfinite(item.outline_px).all()
         assert 0.0 <= item.score <= 1.0
         assert item.area_px > 0.0
+
+
+def test_gray_parts_that_hardly_stand_out_of_a_gray_grain_are_found() -> None:
+    # The grain varies as much as the parts differ, but slowly: only as steps do they stand out.
+    rng = np.random.default_rng(5)
+    grain = cv2.resize(cv2.GaussianBlur(rng.standard_normal((30, 40)), (0, 0), 1.5), (640, 480))
+    grain *= 3.0 / grain.std()
+    things = [(at(corners(shape, 90.0, 0.3), x, 240.0), (188.0, 188.0, 188.0)) for shape, x in FAINT_ROW]
+    image = paint(things, size=(640, 480), noise=0.0) + grain[:, :, None] + 3.0 * rng.standard_normal((480, 640, 3))
+    seen = sorted(found(np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)), key=lambda d: d.center_px[0])
+    assert [d.shape for d in seen] == [shape for shape, _ in FAINT_ROW]
