@@ -142,7 +142,7 @@ class Sorter:
             try:
                 self._settle("the controller failed")
             finally:
-                if not isinstance(self.fault, ArmError):
+                if self._may_park(self.fault):
                     self._come_to_rest()
             raise
         finally:
@@ -369,15 +369,19 @@ class Sorter:
     # --- the end --------------------------------------------------------------------------------------
 
     def _latch(self, error: SorterError) -> str:
-        """Keep the first fault and bring the arm to rest; after one of the arm's own it is left holding still."""
+        """Keep the first fault, and bring the arm to rest if it may move."""
         if self.fault is None:
             self.fault = error
             self._settle(f"fault: {error}")
             for observer in self.rig.observers:
                 observer.faulted(error, self.rig.clock.now())
-            if not isinstance(error, ArmError):
+            if self._may_park(error):
                 self._come_to_rest()
         return "faulted"
+
+    def _may_park(self, fault: SorterError | None) -> bool:
+        """Not after a fault of the arm's own, nor while it is paused: somebody may have a hand in its way."""
+        return not isinstance(fault, ArmError) and not self._requests.paused
 
     def _shut_down(self) -> str:
         """Park and let go of the torque; the trigger says whether that went well."""

@@ -3,7 +3,7 @@
 Layouts: parts of 34 to 44 mm (squares, circles, hexagons, triangles) at random, 1 mm apart at least, on a ring
 sector 150 to 240 mm from the waist, 50 degrees to either side: 8 or 12 of them on some 280 cm2. Nothing is simulated:
 where a pushed part comes to lie is drawn between what pushing straight and turning flush would give, within 3 mm.
-The planner's own gate judges every move. `python -m tests.benchmarks.nudging` asks the physics engine instead.
+The planner's own gate judges every move. `python -m tests.benchmarks.crowded --clear` asks the physics engine instead.
 
     python -m tests.benchmarks.finger_room [--layouts N] [--seed N] [--arms NAME ...] [--parts N ...]
 """

@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 
 from controller.config.cell import CellConfig
+from controller.cycle import looking
 from controller.cycle.machine import State
 from controller.domain import LocatedObject, PickPlan, Result, Shape
 from controller.errors import (
     ArmError,
+    CalibrationError,
     CalibrationStale,
     CameraEnded,
     CameraLost,
@@ -18,6 +20,7 @@ from controller.errors import (
     PartHeld,
     PictureUnusable,
 )
+from controller.localization.locate import Located
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
 
@@ -361,6 +364,25 @@ def test_a_stop_ends_a_pause_and_parks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorter.machine.state is S.STOPPED
     assert bench.commands[-2:] == ["park", "relax"]
     assert bench.results == [Result.ABORTED]
+
+
+@pytest.mark.safety("SR-23")
+@pytest.mark.parametrize("paused", [True, False])
+def test_a_fault_parks_the_arm_unless_it_is_paused(monkeypatch: pytest.MonkeyPatch, paused: bool) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.open()
+    sorter = bench.sorter()
+
+    def locate(*_: object) -> Located:
+        if paused:
+            sorter.request_pause()
+        raise CalibrationError("the marks on the arm's base have moved", "calibrate again")
+
+    monkeypatch.setattr(looking, "locate", locate)
+    sorter.run()
+    assert sorter.machine.state is S.FAULT
+    assert isinstance(sorter.fault, CalibrationError)
+    assert ("park" in bench.commands, "relax" in bench.commands) == (not paused, not paused)
 
 
 @pytest.mark.safety("SR-24")

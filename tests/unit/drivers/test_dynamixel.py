@@ -112,6 +112,21 @@ def test_a_pause_holds_anywhere_and_goes_on_to_the_same_end(at: float) -> None:
     assert np.diff(ticks).max() <= largest + 1
 
 
+@pytest.mark.safety("SR-23")
+def test_a_fault_during_a_pause_leaves_the_arm_where_it_holds() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        bench.later(0.3, arm.pause)
+        held: list[Array] = []
+        bench.later(0.9, lambda: held.append(bench.positions()))
+        bench.later(1.0, lambda: bench.bus.strike(Fault.OVERHEAT, ELBOW))
+        with pytest.raises(ServoFault):
+            arm.follow(_move(bench))
+        assert np.abs(bench.positions() - held[0]).max() < 0.005
+        assert bench.bus.servo(SHOULDER).table.get("Torque_Enable") == 1
+        arm.resume()
+
+
 def test_jaws_wait_while_paused() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
