@@ -280,13 +280,17 @@ class CellConfig(StrictModel):
                 return rule.bin
         return None if self.sorting.otherwise == "leave" else self.sorting.otherwise
 
-    def in_work_area(self, center: tuple[float, float], T_base_table: Array) -> bool:
-        """Whether a point of `table` (mm) lies where parts may be picked."""
+    def in_work_area(
+        self, center: tuple[float, float], T_base_table: Array, margin_mm: float = 0.0
+    ) -> bool:
+        """Whether a point of `table` (mm) lies where parts may be picked, or within a margin of it."""
         x, y, _ = transform(T_base_table, [*center, 0.0])
         area = self.table.work_area
         low, high = area.azimuth_deg
         radius, azimuth = math.hypot(x, y), math.degrees(math.atan2(y, x))
-        return area.inner_radius_mm <= radius <= area.outer_radius_mm and low <= azimuth <= high
+        aside = math.degrees(margin_mm / max(radius, 1.0))
+        at_radius = area.inner_radius_mm - margin_mm <= radius <= area.outer_radius_mm + margin_mm
+        return at_radius and low - aside <= azimuth <= high + aside
 
     def work_area_outline(self, T_base_table: Array, margin_mm: float = 0.0, step_deg: float = 5.0) -> Array:
         """Polygon (N, 2) around the work area in `table`, mm, widened by `margin_mm`."""

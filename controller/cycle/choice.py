@@ -19,6 +19,10 @@ from controller.motion.planner import Planner
 _SURE = 0.8
 """Of two candidates of which only one is this sure, that one comes first, however far it is."""
 
+_RIM_MM = 25.0
+"""What lies this far beyond the work area's rim may have been pushed there by the jaws, alone or by its neighbour: half
+a part's width."""
+
 NUDGES = 3
 """Pushes for the sake of one part until another is gone: what three did not free, a fourth will not."""
 
@@ -147,8 +151,10 @@ class Chooser:
 
     def _may_be_picked(self, thing: LocatedObject) -> bool:
         config = self._rig.config
-        # What was worked on may have been dropped or pushed beyond the area's rim, and still be in reach.
-        inside = thing.target_id != "" or config.in_work_area(thing.center, self._rig.calibration.T_base_table)
+        # What was worked on may have been dropped beyond the area's rim, and still be in reach.
+        inside = thing.target_id != "" or config.in_work_area(
+            thing.center, self._rig.calibration.T_base_table, _RIM_MM
+        )
         return (
             inside
             and thing.detection.score >= config.vision.minimum_score

@@ -17,7 +17,7 @@ SCORE = 0.25
 """Of what has no outline of its own: too little to be picked."""
 
 _AS_STRONG = 0.75
-"""Share of the known objects' median difference from the table that a leftover has at least: a shadow has less."""
+"""Share of the faintest known object's difference from the table that a leftover has at least: a shadow has less."""
 
 _BLUR = 2.0
 """Beyond an outline by this much, px of the searched image, its object may still show."""
@@ -37,14 +37,10 @@ def leftovers(
     """
     if not found:
         return []
-    faces, covered = np.zeros(strength.shape, np.uint8), np.zeros(strength.shape, np.uint8)
+    covered = np.zeros(strength.shape, np.uint8)
     for item in found:
-        cv2.fillPoly(faces, [_reduced(item.face, factor)], (255,))
         cv2.fillPoly(covered, [_reduced(item.outline, factor)], (255,))
-    inside = strength[faces > 0]
-    if not len(inside):
-        return []
-    level = _AS_STRONG * float(np.median(inside))
+    level = _AS_STRONG * min(_clearness(strength, _reduced(item.face, factor)) for item in found)
     rest = np.where(strength > level, 255, 0).astype(np.uint8)
     rest[cv2.dilate(covered, _disc(_BLUR)) > 0] = 0
     if region is not None:
@@ -58,6 +54,17 @@ def leftovers(
         center = outline.mean(axis=0)
         out.append(Found(Shape.OTHER, SCORE, outline, outline, center, None, frozenset({"touching"})))
     return out
+
+
+def _clearness(strength: NDArray[np.float32], face: NDArray[np.int32]) -> float:
+    """Median difference from the table inside a face; infinite outside the picture."""
+    x, y, width, height = cv2.boundingRect(face)
+    x, y = max(x, 0), max(y, 0)
+    patch = strength[y : y + height, x : x + width]
+    mask = np.zeros(patch.shape, np.uint8)
+    cv2.fillPoly(mask, [face - np.array([x, y], np.int32)], (255,))
+    inside = patch[mask > 0]
+    return float(np.median(inside)) if len(inside) else np.inf
 
 
 def _reduced(outline: NDArray[np.float64], factor: int) -> NDArray[np.int32]:

@@ -44,6 +44,14 @@ def test_a_patch_as_strong_as_the_objects_is_one(patch: tuple[int, int, int, int
         assert one.center == pytest.approx([2.0 * x + width + 1.0, 2.0 * y + height - 0.5], abs=3.0)
 
 
+def test_a_faint_part_is_told_of_where_another_as_faint_is_known() -> None:
+    """Two parts of one colour that touch may have no outline that fits; dyes differ in how clearly they stand out."""
+    strength = table((61, 45, 14, 14, 60.0), (100, 40, 21, 21, 65.0))
+    known = [square(100.5, 100.5, 40.0), square(220.5, 100.5, 40.0)]
+    assert len(leftovers(strength, known, 2, None, 6.0)) == 1
+    assert leftovers(strength, known[:1], 2, None, 6.0) == []
+
+
 def test_only_the_region_counts() -> None:
     region = np.zeros((120, 160), np.uint8)
     assert leftovers(table((61, 45, 14, 14, 90.0)), [square(100.5, 100.5, 40.0)], 2, region, 6.0) == []
