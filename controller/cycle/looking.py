@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from controller.cycle.doubt import lies_on_its_side, toppled
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
+from controller.cycle.source import still_shows
 from controller.cycle.view import Backdrop, region_mask
-from controller.domain import Array, Frame, LocatedObject
+from controller.domain import Array, Detection, Frame, LocatedObject
 from controller.errors import CameraError
 from controller.localization.locate import Located, locate
 from controller.vision.detect import Detected, detect
@@ -76,6 +77,10 @@ class Looker:
     def is_ahead(self) -> bool:
         """The next look is under way already."""
         return self._ahead is not None
+
+    def shows_still(self, taken: Detection) -> bool:
+        """Whether the look under way shows a part where it was taken from; not, when no look is under way."""
+        return self._ahead is not None and still_shows(taken, self._ahead.frame)
 
     def capture(self, after: float) -> Frame:
         """The frame of the next look: the one taken ahead, else a new one begun after `after`.

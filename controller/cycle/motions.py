@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from controller.cycle import proof
 from controller.cycle.holding import RELEASES
 from controller.cycle.rig import Rig
-from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Trajectory
+from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
 from controller.errors import PartHeld
 from controller.motion.planner import Planner
 
@@ -28,6 +28,7 @@ class Motions:
 
     Attributes:
         planner: Plans the moves; a slow one while that is better.
+        view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
         last: When the last motion ended, s of the cell's clock.
         positions: ndarray of shape (J,): where the joints stood then, rad.
         retreat: The way out of the bin over which the last part was let go, not yet carried out; or None.
@@ -39,7 +40,7 @@ class Motions:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self.planner: Planner = rig.planner
-        self._view: NDArray[np.float64] = np.empty((0, 2))
+        self.view: NDArray[np.float64] = np.empty((0, 2))
         self._energised = False
         self._placed_height = 0.0
         self.last = 0.0
@@ -54,7 +55,7 @@ class Motions:
             rig: The rig.
             view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
         """
-        self._rig, self._view, self.planner = rig, view, rig.planner
+        self._rig, self.view, self.planner = rig, view, rig.planner
 
     def start(self) -> None:
         """Torque on where the arm stands."""
@@ -112,7 +113,9 @@ class Motions:
         refusal = proof.obstruction(arrival, plan.approach)
         if refusal is None:
             report = self.grip(proof.closing_target(plan.grasp, self._rig.arm.description.gripper))
-            refusal = proof.refusal(report, plan.grasp, plan.target.sigma) if proved else None
+            target = plan.target
+            named = target.shape is not Shape.OTHER or target.detection.label != str(target.shape)
+            refusal = proof.refusal(report, plan.grasp, target.sigma, named=named) if proved else None
         return refusal
 
     def push(self, plan: NudgePlan) -> bool:
@@ -167,7 +170,7 @@ class Motions:
 
     def view_is_clear(self) -> bool:
         """Whether the camera sees the work area past the arm as it stands."""
-        return self.planner.leaves_view_clear(self._rig.arm.state().positions, self._view)
+        return self.planner.leaves_view_clear(self._rig.arm.state().positions, self.view)
 
     def clear_from(self, move: Trajectory) -> float | None:
         """Since when the camera has seen the work area past the arm, s of the cell's clock.
@@ -182,7 +185,7 @@ class Motions:
         step = max(round(_CLEAR_STEP / move.period), 1)
         since = None
         for index in range(len(move.positions) - 1, -1, -step):
-            if not planner.leaves_view_clear(move.positions[index] - offsets, self._view):
+            if not planner.leaves_view_clear(move.positions[index] - offsets, self.view):
                 break
             since = self.last - (len(move.positions) - 1 - index) * move.period
         return since

@@ -53,16 +53,19 @@ def closing_target(grasp: Grasp, gripper: Gripper) -> float:
     return max(grasp.flush - SQUEEZE_MM, gripper.opening[0])
 
 
-def refusal(report: GripReport, grasp: Grasp, sigma: float) -> str | None:
+def refusal(report: GripReport, grasp: Grasp, sigma: float, *, named: bool = True) -> str | None:
     """Why a closed gripper does not hold the part, or None when it does.
 
     Args:
         report: Where the jaws have settled.
         grasp: What was meant.
         sigma: Standard deviation of where the part was seen, mm.
+        named: Its shape is known. What has none goes where anything may go, and its width is a guess.
     """
     if not report.contact:
         return f"the jaws closed to {report.opening:.1f} mm without touching a part"
+    if not named:
+        return None
     # Jaws turn a part that lies askew flush, or hold it as it lies: both are a grasp.
     slack = 2.0 * sigma
     if not grasp.flush - NARROWER_MM - slack <= report.opening <= grasp.width + WIDER_MM + slack:

@@ -273,6 +273,9 @@ class Sorter:
         arrival = self._motions.follow(plan.carry)
         dropped = proof.lost(arrival.state, plan.grasp) if self.rig.pick_proof else None
         self._look_ahead(plan)
+        mistaken = dropped is None and self.rig.pick_proof and self._looker.shows_still(plan.target.detection)
+        if mistaken:
+            plan = self._divert(target, plan)
         self._motions.let_go(plan.grasp)
         self._motions.released(plan.retreat, target.located.height)
         self._gripped = None
@@ -283,11 +286,12 @@ class Sorter:
             if target.attempts >= self.rig.config.cycle.attempts:
                 self._outcomes.conclude(target, Result.DROPPED, dropped)
         else:
-            self.left -= 1
+            self.left -= not mistaken
             self._stock.placed(plan.bin, target.located)
             rejected = plan.bin.name == self.rig.config.sorting.otherwise
             result = Result.REJECTED if rejected else Result.PLACED
-            self._outcomes.conclude(target, result, f"in {plan.bin.name}")
+            what = "; not what was to be taken, which still lies there" if mistaken else ""
+            self._outcomes.conclude(target, result, f"in {plan.bin.name}{what}")
         self.cycle_times.append(self.rig.clock.now() - self._cycle_started)
         self._cycle_started = self.rig.clock.now()
         self._picks_from_look += 1
@@ -331,6 +335,27 @@ class Sorter:
         for observer in self.rig.observers:
             observer.nudged(plan)
         return True
+
+    def _divert(self, target: Target, plan: PickPlan) -> PickPlan:
+        """Take what is not what the jaws were sent for on to the rejects, and come to stand over them.
+
+        Raises:
+            PartHeld: There is no such bin, or it is full.
+        """
+        rejects, motions = self._stock.rejects(), self._motions
+        if rejects is None:
+            cause = "the jaws hold something else than the part they were sent for"
+            raise PartHeld(
+                self.rig.arm.description.name, "place", cause, "take it out of the jaws, then controller resume"
+            )
+        if rejects.name == plan.bin.name:
+            return plan
+        target.plan = motions.planner.plan_diverted(
+            plan, rejects, self._stock.drop_point(rejects), self.rig.arm.state().positions,
+            pile=self._stock.pile(rejects), view=motions.view,
+        )  # fmt: skip
+        motions.follow(target.plan.carry)
+        return target.plan
 
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:
         """Let go of whatever it is, and go where the camera sees all."""

@@ -54,7 +54,16 @@ class Stock:
     def bin_for(self, thing: LocatedObject) -> Bin | None:
         """The bin an object belongs in, or None when it is to lie or its bin is full."""
         bin_ = self._wanted(thing)
-        return bin_ if bin_ is not None and self._filled[bin_.name] < bin_.capacity else None
+        return self._open(bin_.name) if bin_ is not None else None
+
+    def _open(self, name: str) -> Bin | None:
+        """The bin of this name, unless it is full."""
+        bin_ = next((bin_ for bin_ in self._config.bin_values() if bin_.name == name), None)
+        return bin_ if bin_ is not None and self._filled[name] < bin_.capacity else None
+
+    def rejects(self) -> Bin | None:
+        """The bin for what no rule names, or None when that is to lie or the bin is full."""
+        return self._open(self._config.sorting.otherwise)
 
     def waited_for(self, things: Iterable[LocatedObject]) -> dict[str, int]:
         """Full bins by name, and how many of these objects wait for each."""

@@ -29,7 +29,7 @@ from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
 from controller.motion.kinematics import points
 from controller.motion.moves import Moves
-from controller.motion.path import line, straight, stroke
+from controller.motion.path import Leg, line, straight, stroke
 from controller.motion.postures import CLEARANCE, PART_BELOW_TIPS, Postures, Stop
 from controller.motion.view import discs, hides
 
@@ -131,6 +131,34 @@ class Planner:
                 failure = failure or error
         assert failure is not None
         raise failure
+
+    def plan_diverted(
+        self, plan: PickPlan, bin: Bin, drop: Point, start: Array, *, pile: float | None, view: Array | None
+    ) -> PickPlan:
+        """The same part taken on to another bin, from over the one it was carried to.
+
+        Args:
+            plan: How it came there; the part is still held.
+            bin: The other bin.
+            drop: (x, y) in `table` where the part's centre is let go, mm.
+            start: ndarray of shape (J,): measured joint angles, rad.
+            pile: See `plan_pick`.
+            view: See `plan_pick`.
+
+        Raises:
+            Unreachable: The drop lies outside the reach.
+            LimitViolation: The gate refuses the way.
+        """
+        q0, grasp = self._moves.start(start), plan.grasp
+        rest = (plan.target.center[0] - grasp.center[0], plan.target.center[1] - grasp.center[1])
+        place = self._postures.drop(bin, drop, grasp, self._moves.start(plan.carry.positions[0]), rest, pile)
+        out, inside = stroke(self.arm, place.low, place.rise), self._inside(place)
+        rise = self._postures.clear - points(self.arm, q0)[3, 2]
+        down = self._moves.approach(q0, out.reversed(), place.rise - inside, grasp.opening, max(rise, 1.0))
+        carry = replace(down, name="carry", narrow=None)
+        _, retreat = self._retreat(place, out, inside, None, view)
+        self.gate.check_moves((retreat,), carry.positions[-1], grasp.opening)
+        return replace(plan, bin=bin, carry=carry, retreat=retreat)
 
     def plan_nudge(
         self,
@@ -288,7 +316,7 @@ class Planner:
         tall = max([target.height, *(other.height for other in others), 0.0])
         # From here down the jaws are among the parts: exactly vertical.
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
-        inside = min(max(self._postures.clear - CLEARANCE - (points(self.arm, place.low)[3, 2]), 5.0), place.rise)
+        inside = self._inside(place)
         out, in_ = stroke(self.arm, pick.low, pick.rise), stroke(self.arm, place.low, place.rise)
         approach = self._moves.approach(q0, out.reversed(), pick.rise - straight, grasp.opening, climb)
         carry = self._moves.along(
@@ -297,15 +325,26 @@ class Planner:
             [(pick.rise - straight, ways.CORNER), (ways.CORNER, place.rise - inside)],
             payload=(0.0, self.part_mass),
         )
-        goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
-        if view is not None and not hides(self.arm, place.high, self._eye, self._flat(view)):
-            goal, legs, corners = place.high, [in_], []
-        else:
-            legs, corners = [in_, line(self.arm, place.high, goal)], [(place.rise - inside, ways.CORNER)]
-        retreat = self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
+        goal, retreat = self._retreat(place, in_, inside, finish, view)
         plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
         self.gate.check_moves((carry, retreat), approach.positions[-1], grasp.opening)
         return plan
+
+    def _inside(self, place: Stop) -> float:
+        """How far the arm rises from a place in a bin until it is over the walls, mm."""
+        height = float(points(self.arm, place.low)[3, 2])
+        return min(max(self._postures.clear - CLEARANCE - height, 5.0), place.rise)
+
+    def _retreat(
+        self, place: Stop, out: Leg, inside: float, finish: Array | None, view: Array | None
+    ) -> tuple[Array, Trajectory]:
+        """Out of a bin, `inside` mm of it between its walls; where it ends, and the way."""
+        if view is not None and not hides(self.arm, place.high, self._eye, self._flat(view)):
+            goal, legs, corners = place.high, [out], []
+        else:
+            goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
+            legs, corners = [out, line(self.arm, place.high, goal)], [(place.rise - inside, ways.CORNER)]
+        return goal, self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
 
     def _nudge(
         self, target: LocatedObject, push: nudges.Push, others: Sequence[LocatedObject], q0: Array, climb: float

@@ -17,7 +17,10 @@ SCORE = 0.25
 """Of what has no outline of its own: too little to be picked."""
 
 _AS_STRONG = 0.75
-"""Share of the faintest known object's difference from the table that a leftover has at least: a shadow has less."""
+"""Share of the fainter known objects' difference from the table that a leftover has at least: a shadow has less."""
+
+_FAINTER = 0.25
+"""The share of known objects that are fainter: dyes differ, and what the faintest is taken for may be a shadow."""
 
 _BLUR = 2.0
 """Beyond an outline by this much, px of the searched image, its object may still show."""
@@ -40,7 +43,8 @@ def leftovers(
     covered = np.zeros(strength.shape, np.uint8)
     for item in found:
         cv2.fillPoly(covered, [_reduced(item.outline, factor)], (255,))
-    level = _AS_STRONG * min(_clearness(strength, _reduced(item.face, factor)) for item in found)
+    clear = [_clearness(strength, _reduced(item.face, factor)) for item in found]
+    level = _AS_STRONG * float(np.quantile(clear, _FAINTER, method="lower"))
     rest = np.where(strength > level, 255, 0).astype(np.uint8)
     rest[cv2.dilate(covered, _disc(_BLUR)) > 0] = 0
     if region is not None:

@@ -53,3 +53,8 @@ def test_jaws_that_closed_on_the_way_have_lost_the_part() -> None:
 def test_what_has_no_name_is_seen_less_well() -> None:
     assert proof.refusal(GripReport(True, True, 35.2, 0.3), grasp(38.9), 0.15) is not None
     assert proof.refusal(GripReport(True, True, 35.2, 0.3), grasp(38.9), 1.3) is None
+
+
+def test_what_has_no_name_may_have_any_width_but_must_be_there() -> None:
+    assert proof.refusal(GripReport(True, True, 38.0, 0.3), grasp(45.0), 0.15, named=False) is None
+    assert proof.refusal(GripReport(True, False, 37.0, 0.1), grasp(45.0), 0.15, named=False) is not None
