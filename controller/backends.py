@@ -107,8 +107,8 @@ class Devices:
         script: Lets a script's faults happen, where one was given.
         disturbed: What has disturbed the cell so far: kind and s after the work began.
         names: What stands for the serial numbers of simulated devices, by what they are.
-        lay_round_part: Puts a round part into the middle of the work area for an arm without wrist roll, where the
-            table is simulated; a person does so on a real cell.
+        lay_round_part: Puts a round part into the middle of the work area, where the table is simulated; a person does
+            so on a real cell.
         closers: Called in reverse order by `close`.
     """
 
@@ -410,7 +410,7 @@ class PaintedTable:
         table = config.table.model_copy(update={"origin_in_base_mm": (380.0, 0.0, 0.0)})
         aside = replace(arm, rest=(math.pi / 2, *arm.rest[1:]))
         spec = _cell_spec(config.model_copy(update={"table": table}), aside, options)
-        self._spec = replace(spec, bins=(), overrides=imperfections or {})
+        self._spec = replace(spec, bins=(), overrides=imperfections or {}, round_part=False)
         empty = cell_type(self._spec, ())
         self._T_base_table = empty.T_base_table
         empty.camera.open()
@@ -479,6 +479,7 @@ def _served_devices(spec: CellSpec, arm: ArmDescription, options: BackendOptions
         truth=truth,
         clear_table=truth.set_aside,
         lay_parts=truth.scatter,
+        lay_round_part=truth.lay_round_part,
         portrait=truth.portrait,
         names=_simulated_names(options),
         closers=[server.stop, truth.close, presenter.close],
@@ -508,6 +509,7 @@ def _cell_spec(config: CellConfig, arm: ArmDescription, options: BackendOptions)
         seed=options.seed,
         level=str(options.level),
         disturb=options.disturb,
+        round_part=True,
         heights={shape: config.part(shape).height_mm for shape in Shape},
         landmarks=_LANDMARKS if config.table.corner_markers else (),
         kinds=tuple(

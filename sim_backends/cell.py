@@ -73,10 +73,10 @@ class SimulatedCell:
             sum(event.kind == "add" for event in script),
             spec.seed, imperfections, spec.heights, spec.grips, spec.work_area,
         )  # fmt: skip
-        if len(spec.arm.joints) == 4:
-            # Without a wrist roll it has to touch something to be calibrated.
-            spares = (*spares, round_part(spec.seed, spec.heights, spec.work_area))
+        self._sorted = len(laid) + len(spares)
         parts = (*laid, *spares)
+        if spec.round_part:
+            parts = (*parts, round_part(spec.seed, spec.heights, spec.work_area))
         self.world = World(
             spec.arm,
             spec.bins,
@@ -85,7 +85,7 @@ class SimulatedCell:
             imperfections,
             spec.marker,
             self.T_tool_marker,
-            spares=len(spares),
+            spares=len(parts) - len(laid),
             hand=hand_solids() if script else (),
         )
         person = Person(self.world, spec.work_area)
@@ -127,8 +127,9 @@ class SimulatedCell:
         return self._truth(*self.world.past(at))
 
     def tool(self) -> tuple[float, float, float]:
-        """Where the grasp point is now: (x, y, z) in the true `table`, mm."""
-        x, y, z, _ = np.linalg.inv(self.T_base_table) @ self.world.tool_pose()[:, 3]
+        """Where the grasp point, the middle of the jaws, is now: (x, y, z) in the true `table`, mm."""
+        grasp_point = np.array([0.0, *self.imperfections.jaw_shift, 1.0])
+        x, y, z, _ = np.linalg.inv(self.T_base_table) @ self.world.tool_pose() @ grasp_point
         return float(x), float(y), float(z)
 
     def set_aside(self) -> None:
@@ -136,10 +137,10 @@ class SimulatedCell:
         self.world.loose.set_aside()
 
     def lay_round_part(self) -> None:
-        """Lay the round part that an arm without wrist roll touches onto the table."""
-        index, part = len(self.world.parts) - 1, self.world.parts[-1]
-        self.world.may_touch(index)
-        self.world.loose.lay_at(index, part.x, part.y, part.yaw)
+        """Lay the round part that a calibration touches onto the table; the next hand takes it away."""
+        part = self.world.parts[self._sorted]
+        self.world.may_touch(self._sorted)
+        self.world.loose.lay_at(self._sorted, part.x, part.y, part.yaw)
 
     def scatter(self) -> None:
         """Put all parts where the seed has them."""
@@ -164,7 +165,8 @@ class SimulatedCell:
     ) -> tuple[TruePart, ...]:
         world = self.world
         nominal = np.array(self.spec.T_base_table)
-        return true_parts(world.parts, poses, held, world.bins, nominal, self.T_base_table, self._reachable, away)
+        parts, poses = world.parts[: self._sorted], poses[: self._sorted]
+        return true_parts(parts, poses, held, world.bins, nominal, self.T_base_table, self._reachable, away)
 
     def _paint(self, snapshot: Snapshot) -> Image:
         return self._painter.paint(snapshot, self.presenter.sheet, self.presenter.board)

@@ -51,6 +51,7 @@ class CellSpec:
         kinds: What kinds of parts are scattered; none for all shapes in all colours.
         landmarks: (id, x, y) of the printed markers on the table, mm in `table`.
         overrides: Single imperfections that replace the level's, by field name.
+        round_part: A round part is at hand, to be touched at calibration and not to be sorted.
         disturb: What happens while it works, as a wish of `disturbances`; "" for nothing.
     """
 
@@ -71,6 +72,7 @@ class CellSpec:
     landmarks: tuple[tuple[int, float, float], ...] = ()
     overrides: Mapping[str, float | Vector] = field(default_factory=dict)
     disturb: str = ""
+    round_part: bool = False
 
     def nominal_matrix(self) -> Array:
         """Camera matrix by the data sheet, shape (3, 3), px."""

@@ -49,6 +49,7 @@ class Imperfections:
         backlash: Full play between encoder and link of each joint, base to tool.
         link_scale: True mass of each link over the described one.
         packet_loss: Fraction of the servos' answers lost on the bus.
+        jaw_shift: (y, z) of the middle of the jaws against the drawing, in `tool`.
     """
 
     camera_shift: Vector = (0.0, 0.0, 0.0)
@@ -80,6 +81,7 @@ class Imperfections:
     backlash: Vector = (0.0,) * _MOST_JOINTS
     link_scale: Vector = (1.0,) * _MOST_JOINTS
     packet_loss: float = 0.0
+    jaw_shift: Vector = (0.0, 0.0)
 
 
 def draw(level: str, seed: int, overrides: Mapping[str, float | Vector] | None = None) -> Imperfections:
@@ -139,4 +141,5 @@ def _draw_static(random: np.random.Generator) -> Imperfections:
         joint_offsets=spread(math.radians(1.5), _MOST_JOINTS),
         backlash=tuple(float(v) for v in np.radians(random.uniform(0.1, 0.3, _MOST_JOINTS))),
         link_scale=tuple(1.0 + v for v in spread(0.1, _MOST_JOINTS)),
+        jaw_shift=spread(1.0, 2),
     )

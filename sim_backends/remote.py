@@ -139,6 +139,10 @@ class RemoteTruth:
         """Take all parts off the table, e.g. to calibrate."""
         self._connection.ask("set_aside")
 
+    def lay_round_part(self) -> None:
+        """Lay the round part that a calibration touches into the middle of the work area."""
+        self._connection.ask("lay_round_part")
+
     def scatter(self) -> None:
         """Put all parts where the seed has them."""
         self._connection.ask("scatter")

@@ -97,6 +97,10 @@ class ServedCell(Protocol):
         """Take the parts off the table."""
         ...
 
+    def lay_round_part(self) -> None:
+        """Lay the round part that a calibration touches."""
+        ...
+
     def scatter(self) -> None:
         """Put the parts back."""
         ...
@@ -126,6 +130,7 @@ class PhysicsCell:
         self.tool = self._cell.tool
         self.portrait = self._cell.overview
         self.set_aside = self._cell.set_aside
+        self.lay_round_part = self._cell.lay_round_part
         self.scatter = self._cell.scatter
         self._easel = _fork(self._paint_for_others)
 
@@ -229,6 +234,9 @@ class Bench:
         raise CameraLost("camera", "portrait", "a bench of servos has no camera")
 
     def set_aside(self) -> None:
+        """There is nothing."""
+
+    def lay_round_part(self) -> None:
         """There is nothing."""
 
     def scatter(self) -> None:

@@ -163,6 +163,8 @@ class CellServer:
                 return {"shape": list(picture.shape)}, picture.data.cast("B")
             case "set_aside":
                 line.call(cell.set_aside)
+            case "lay_round_part":
+                line.call(cell.lay_round_part)
             case "scatter":
                 line.call(cell.scatter)
             case "strike":

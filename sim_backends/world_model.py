@@ -30,6 +30,7 @@ TABLE_THICKNESS = 25.0
 FLOOR = -700.0
 WALL = 3.0  # bins: thickness of walls and floor, mm
 HORN = "horn"
+_SIDES = ((LEFT, 1.0), (RIGHT, -1.0))
 HAND = "hand"
 HAND_AWAY = (3000.0, 0.0, 100.0)  # where nobody sees it, mm
 CRADLE = "cradle"
@@ -305,18 +306,21 @@ def _chain(arm: ArmDescription, solids: Sequence[Solid], imperfections: Imperfec
     if index + 1 < len(arm.joints):
         inside.append(_chain(arm, solids, imperfections, index + 1))
     else:
-        inside += [_jaw(arm, solids, LEFT, 1.0, finger_mass), _jaw(arm, solids, RIGHT, -1.0, finger_mass), _horn(arm)]
+        inside += [_jaw(arm, solids, name, side, finger_mass, imperfections.jaw_shift) for name, side in _SIDES]
+        inside.append(_horn(arm))
     return f'<body name="{name}" pos="{_numbers(np.array(joint.offset) * MM)}">{"".join(inside)}</body>'
 
 
-def _jaw(arm: ArmDescription, solids: Sequence[Solid], name: str, side: float, mass: float) -> str:
+def _jaw(
+    arm: ArmDescription, solids: Sequence[Solid], name: str, side: float, mass: float, shift: Sequence[float]
+) -> str:
     own = [s for s in solids if s.body == name]
     middle = np.vstack([s.vertices for s in own]).mean(axis=0) * MM
     geoms = "".join(_geom(f"{name}/{i}", s, _ARM, _PART | _FIXED) for i, s in enumerate(own))
     start = half_opening(arm.gripper, 0.0) * MM
     # The joint's reference is the half opening at servo angle 0, so that the coupling needs no shift.
     return (
-        f'<body name="{name}" pos="0 {side * start:.9g} 0">'
+        f'<body name="{name}" pos="0 {side * start + shift[0] * MM:.9g} {shift[1] * MM:.9g}">'
         f'<joint name="{name}" type="slide" axis="0 {side} 0" ref="{start:.9g}" damping="2"/>'
         f'<inertial pos="{_numbers(middle)}" mass="{mass}" diaginertia="3e-6 3e-6 3e-6"/>{geoms}</body>'
     )

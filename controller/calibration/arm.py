@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from controller.calibration import files
 from controller.calibration.map_record import MapRecord, record_from_json
 from controller.calibration.marker import ArmMarker
+from controller.domain import Point
 from controller.errors import InputError
 
 Array = NDArray[np.float64]
@@ -50,10 +51,13 @@ class ArmCalibration:
         points: Number of those poses.
         singular_values: Of the scaled normal equations, largest first: a tiny last one is a direction
             that the poses do not determine.
-        sigma: Standard deviations of the offsets (rad) and of the base (`x`, `y`, `z` mm, `yaw` rad).
+        sigma: Standard deviations of the offsets (rad), of the base (`x`, `y`, `z` mm, `yaw` rad) and, where something
+            was touched, of the jaws (`jaws_y`, `jaws_z` mm).
         places: Where the grasp point was at those poses, (x, y, z) in `table`, mm.
         touches: Number of pushes of a part that told where the tip is; 0: the marker alone.
         error_map: What the arm still misses by, where somebody looked.
+        jaws: (y, z) of the middle of the jaws beside its place in the drawing, in `tool`, mm; 0 where nothing was
+            touched.
     """
 
     calibration_id: str
@@ -70,6 +74,7 @@ class ArmCalibration:
     places: tuple[tuple[float, float, float], ...] = ()
     touches: int = 0
     error_map: MapRecord | None = None
+    jaws: Point = (0.0, 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object of its file, and of `calibrate arm` apart from the time it took."""
@@ -102,6 +107,7 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
     if not isinstance(listed, list):
         raise InputError(f"{where}: places is not a list", "make the file again")
     places = files.numbers(content, "places", (len(listed), 3), where=where) if listed else np.empty((0, 3))
+    jaws = files.numbers(content, "jaws", (2,), where=where) if "jaws" in content else np.zeros(2)
     partial = ArmCalibration(
         "",
         str(content.get("camera_id", "")),
@@ -117,6 +123,7 @@ def arm_from_json(content: Mapping[str, Any], where: str) -> ArmCalibration:
         tuple((float(x), float(y), float(z)) for x, y, z in places),
         int(files.number(content, "touches", where=where, default=0)),
         record_from_json(content.get("error_map"), where),
+        (float(jaws[0]), float(jaws[1])),
     )
     stated = content.get("calibration_id")
     return named(partial, stated if isinstance(stated, str) else None)
@@ -141,6 +148,7 @@ def _content(calibration: ArmCalibration) -> dict[str, Any]:
             "sigma": dict(calibration.sigma),
             "places": [list(place) for place in calibration.places],
             "touches": calibration.touches,
+            "jaws": list(calibration.jaws),
             "error_map": calibration.error_map and calibration.error_map.to_json(),
             "arm": calibration.arm,
             "camera_id": calibration.camera_id,

@@ -100,6 +100,8 @@ def fit_arm(
     names = [joint.name for joint in view.arm.joints]
     spread = {names[joint]: float(deviation[12 + k]) for k, joint in enumerate(view.free_joints)}
     spread |= {axis: float(value) for axis, value in zip(("x", "y", "z"), deviation[3:6], strict=True)}
+    of_jaws = deviation[12 + len(view.free_joints) : len(view.prior)]
+    spread |= {f"jaws_{axis}": float(value) for axis, value in zip(view.free_jaws, of_jaws, strict=True)}
     return named(
         ArmCalibration(
             "",
@@ -115,6 +117,7 @@ def fit_arm(
             spread | {"yaw": float(deviation[2])},
             tuple((float(x), float(y), float(z)) for x, y, z in view.tools(found, seen.encoders)),
             len(seen.touches),
+            jaws=found.jaws,
         )
     )
 

@@ -2,7 +2,7 @@
 
 Waist offset and base yaw turn the arm alike, and so do the last joint's offset and the marker's mount: both offsets
 are fixed at zero and their share goes to the other. Of a wrist roll that is no loss: it turns the tool about its own
-axis. Of an arm without one it moves the tip, and touches tell it from the mount.
+axis. Of an arm without one it moves the tip, and touches tell it from the mount. Touches also tell where the jaws are.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controller.calibration.marker import ArmMarker
-from controller.domain import ArmDescription
+from controller.domain import ArmDescription, Point
 from controller.geometry import CameraModel, invert
 from controller.motion.kinematics import forward
 
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 PRIOR_BASE = (np.deg2rad(3.0),) * 3 + (10.0,) * 3
 PRIOR_MOUNT = (np.deg2rad(4.0),) * 3 + (5.0,) * 3
 PRIOR_OFFSET = float(np.deg2rad(2.0))
+#: Of the middle of the jaws beside its drawing, mm per axis.
+PRIOR_JAWS = 1.0
 #: Of a marker's corner in the picture, px per axis.
 PIXEL_SIGMA = 0.2
 #: Of a joint within its play: 0.3 degrees, evenly spread, rad.
@@ -39,11 +41,13 @@ class Unknowns:
         T_table_base: ndarray of shape (4, 4).
         T_tool_marker: ndarray of shape (4, 4).
         offsets: ndarray of shape (J,), rad: encoder minus joint.
+        jaws: (y, z) of the middle of the jaws beside its place in the drawing, in `tool`, mm.
     """
 
     T_table_base: Array
     T_tool_marker: Array
     offsets: Array
+    jaws: Point = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,18 +76,27 @@ class MarkerView:
         return tuple(range(1, last))
 
     @property
+    def free_jaws(self) -> tuple[str, ...]:
+        """Directions of `tool` the jaws may be off in: a wrist's offset moves them along z already."""
+        return () if not self.touched else ("y", "z") if has_roll(self.arm) else ("y",)
+
+    @property
     def prior(self) -> Array:
-        """Standard deviations (P,) of the parameters: base 6, mount 6, then the free offsets."""
-        return np.array([*PRIOR_BASE, *PRIOR_MOUNT, *(PRIOR_OFFSET,) * len(self.free_joints)])
+        """Standard deviations (P,) of the parameters: base 6, mount 6, then the free offsets and the jaws."""
+        free = (PRIOR_OFFSET,) * len(self.free_joints) + (PRIOR_JAWS,) * len(self.free_jaws)
+        return np.array([*PRIOR_BASE, *PRIOR_MOUNT, *free])
 
     def unknowns(self, parameters: Array) -> Unknowns:
         """Parameters (P,), small turns and shifts from the first guess, as poses and angles."""
         offsets = np.zeros(len(self.arm.joints))
-        offsets[list(self.free_joints)] = parameters[12:]
+        jaws = 12 + len(self.free_joints)
+        offsets[list(self.free_joints)] = parameters[12:jaws]
+        y, z = (*parameters[jaws:], 0.0, 0.0)[:2]
         return Unknowns(
             invert(self.T_base_table) @ _small(parameters[:6]),
             self.marker.T_tool_marker @ _small(parameters[6:12]),
             offsets,
+            (float(y), float(z)),
         )
 
     def in_camera(self, unknowns: Unknowns, encoders: Array) -> Array:
@@ -95,7 +108,7 @@ class MarkerView:
     def tools(self, unknowns: Unknowns, encoders: Array) -> Array:
         """Grasp points (N, 3) in `table`, mm, for encoder angles (N, J)."""
         chain = unknowns.T_table_base @ forward(self.arm, encoders - unknowns.offsets)
-        return np.asarray(chain[:, :3, 3])
+        return np.asarray((chain @ [0.0, *unknowns.jaws, 1.0])[:, :3])
 
     def predict(self, parameters: Array, encoders: Array) -> Array:
         """Corners (N, 8) in the picture, px, x and y in turn."""

@@ -3,7 +3,9 @@
 A marker on the gripper shows where the marker is, never where the jaws are. Where the last joint is the wrist's
 pitch, its offset looks like the marker's mount, and a touch is all that tells them apart. The closed jaws are a
 V-block: two edges with a gap between them, so that a disc that is pushed comes to rest in the middle before them.
-How far before them follows from its diameter and cancels between pushes outwards and inwards.
+How far before them follows from its diameter and cancels between pushes with the one and the other face of the jaws.
+A wrist that rolls pushes with the tool turned to either side: what is the arm's stays where it is, what is the jaws'
+changes its sign.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration.arm_model import JOINT_SIGMA, MarkerView
+from controller.calibration.arm_model import JOINT_SIGMA, MarkerView, has_roll
 from controller.domain import ArmDescription, LocatedObject, Trajectory
 from controller.errors import PlanError, SafetyStop
 from controller.geometry import transform
@@ -25,10 +27,14 @@ from controller.ports import Arm, Clock
 
 Array = NDArray[np.float64]
 
-#: Pushes, outwards and inwards by turns: four each way leave 0.2 mm where one leaves 0.35 (play of the joints).
+#: Pushes, to and fro by turns: eight of an arm whose wrist does not roll leave 0.2 mm where two leave 0.35 (play of the
+#: joints).
 PUSHES = 8
+#: Roll of the wrist (rad) and face of the jaws, push by push. A quarter turn either way is within every wrist's limits.
+_STRAIGHT = ((0.0, 1.0), (0.0, -1.0))
+_TURNED = ((math.pi / 2, 1.0), (-math.pi / 2, 1.0), (math.pi / 2, -1.0), (-math.pi / 2, -1.0))
 #: Fewer than this, or none of one kind, and nothing is made of them.
-MIN_TOUCHES = 4
+MIN_TOUCHES = 3
 #: How far a part is pushed, mm: enough to slide to the middle of the jaws from 5 mm beside it.
 TRAVEL = 15.0
 #: The jaws come down this far from the part, mm: an uncalibrated wrist of 2 degrees misses by 4.5.
@@ -51,7 +57,7 @@ class Touch:
         center: (x, y) where its centre was then seen, `table`, mm.
         height: Of the part, mm.
         radius: Of the part, mm.
-        side: 1.0 when it was pushed along z of `tool` (outwards), -1.0 against it.
+        side: 1.0 when it was pushed along z of `tool`, -1.0 against it.
     """
 
     encoders: Array
@@ -78,6 +84,7 @@ def predict(view: MarkerView, parameters: Array, touches: Sequence[Touch], encod
     """
     found = view.unknowns(parameters[:-1])
     T = found.T_table_base @ forward(view.arm, encoders - found.offsets)
+    T[:, :3, 3] += T[:, :3, :3] @ [0.0, *found.jaws]
     side = np.array([touch.side for touch in touches])
     down, out = T[:, :3, 0], T[:, :2, 2] * side[:, None]
     ahead = out / np.linalg.norm(out, axis=1)[:, None]
@@ -109,10 +116,10 @@ def push_part(
     clock: Clock,
     planner: Planner,
     look: Callable[[], LocatedObject | None],
-    pushes: int = PUSHES,
-    progress: Callable[[str], None] = lambda text: None,
+    pushes: int,
+    progress: Callable[[str], None],
 ) -> list[Touch]:
-    """Push the round part on the table outwards and inwards by turns, and look at it after each push.
+    """Push the round part on the table to and fro, and look at it after each push.
 
     Moves metal; blocks for about five seconds a push. An empty list, after a word of `progress`, when there is no
     such part.
@@ -139,10 +146,11 @@ def push_part(
         progress(f"a part of {part.size[0]:.0f} mm would slip between the closed jaws: the tool tip is not measured")
         return []
     touches: list[Touch] = []
+    ways = _TURNED if has_roll(arm.description) else _STRAIGHT
     for index in range(pushes):
         progress(f"push {index + 1} of {pushes}")
-        side = 1.0 if index % 2 == 0 else -1.0
-        encoders = _push(arm, planner, part, side, progress)
+        roll, side = ways[index % len(ways)]
+        encoders = _push(arm, planner, part, roll, side, progress)
         if encoders is None:
             continue
         clock.sleep(_SETTLE)
@@ -155,18 +163,22 @@ def push_part(
 
 
 def _push(
-    arm: Arm, planner: Planner, part: LocatedObject, side: float, progress: Callable[[str], None]
+    arm: Arm, planner: Planner, part: LocatedObject, roll: float, side: float, progress: Callable[[str], None]
 ) -> Array | None:
     """Push once; what the servos said at the end of the push, or None when it cannot be planned."""
     T_base_table = planner.calibration.T_base_table
     x, y, _ = transform(T_base_table, [*part.center, 0.0])
-    azimuth = math.atan2(y, x - chain(arm.description).axis[0])
-    ahead = side * (T_base_table[:3, :3].T @ [math.cos(azimuth), math.sin(azimuth), 0.0])[:2]
+    axis = chain(arm.description).axis[0]
+    # The tool's z in `base`: outwards, less the wrist's roll.
+    heading = math.atan2(y, x - axis) - roll
+    ahead = side * (T_base_table[:3, :3].T @ [math.cos(heading), math.sin(heading), 0.0])[:2]
     start = np.array(part.center) - ahead * (reach(arm.description, part.size[0] / 2.0) + GAP)
     beside = float(start[0]), float(start[1])
+    x, y, _ = transform(T_base_table, [*start, 0.0])
+    turned = math.atan2(y, x - axis) - heading if roll else 0.0
     try:
         approach, push, retreat = planner.plan_touch(
-            part, beside, ahead * (GAP + TRAVEL), arm.state().positions
+            part, beside, ahead * (GAP + TRAVEL), turned, arm.state().positions
         )
     except PlanError as error:
         progress(f"push left out: {error.cause}")

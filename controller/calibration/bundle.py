@@ -75,6 +75,12 @@ class Fit:
         n = 2 * self.points
         return float(n * np.log(self.squares / n) + len(self.free) * np.log(n))
 
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion up to a constant."""
+        n = 2 * self.points
+        return float(n * np.log(self.squares / n) + 2.0 * len(self.free))
+
     def camera(self, image_size: tuple[int, int]) -> CameraModel:
         """The lens as a camera model."""
         return camera_of(self.lens, image_size)

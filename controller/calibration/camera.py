@@ -49,7 +49,7 @@ RATIONAL_COVERAGE = 0.9
 BOW_MAX_RMS = 0.5
 #: Pictures in which another board than the named one is looked for, and corners that are one.
 _LOOKED_AT, _LEAST_SEEN = 3, 12
-_DRAWS = 24
+_DRAWS = 48
 _CELLS = (8, 6)
 
 
@@ -138,7 +138,8 @@ def fit_views(
         dropped += 1
         fit = _refit(views, fit.lens, np.delete(fit.poses, worst, axis=0), LensModel.RADIAL_3)
     coverage = _coverage([view for _, view in views], size)
-    fit, chosen = _choose(views, fit, model, coverage, consider_bow and board.kind is not BoardKind.OVERFILLED)
+    consider_bow = consider_bow and board.kind is not BoardKind.OVERFILLED
+    fit, chosen, candidates = _choose(views, fit, model, coverage, consider_bow)
     _check_pinned(fit, board)
     distance = float(np.median(np.linalg.norm(fit.poses[:, 3:], axis=1)))
     deviations = dict(zip(fit.free, np.sqrt(np.diag(fit.covariance)), strict=True))
@@ -154,18 +155,28 @@ def fit_views(
             chosen.value,
             board.spec,
             (float(bow[0]), float(bow[1]), float(bow[2])),
-            spread_mm(fit, size, distance),
+            spread_mm(fit, candidates, size, distance),
             distance,
             coverage,
         )
     )
 
 
-def spread_mm(fit: bundle.Fit, size: tuple[int, int], distance: float) -> float:
+def spread_mm(fit: bundle.Fit, candidates: Sequence[bundle.Fit], size: tuple[int, int], distance: float) -> float:
     """95th percentile of what the lens' uncertainty does on a frontal plane at `distance`, mm.
 
-    Each draw from the covariance refits the plane's pose to the same sheet in mid-picture, as the table
-    calibration would, so that only what a lens error leaves behind counts.
+    A lens is drawn from the covariance of any candidate, as often as it is likely to predict best: a term that the
+    views are too few to show, and that the chosen model leaves out, may be there all the same. Each draw refits the
+    plane's pose to the same sheet in mid-picture, as the table calibration would, so that only what a lens error
+    leaves behind counts.
+
+    Source: Akaike weights, Burnham and Anderson, Model Selection and Multimodel Inference, 2.9.
+
+    Args:
+        fit: The chosen one.
+        candidates: Fits of all models that were considered, the chosen one among them.
+        size: (width, height) of the picture, px.
+        distance: Of the plane, mm.
     """
     nominal = bundle.camera_of(fit.lens, size)
     width = 0.45 * size[0] * distance / fit.lens[0]
@@ -176,13 +187,16 @@ def spread_mm(fit: bundle.Fit, size: tuple[int, int], distance: float) -> float:
     u, v = np.meshgrid(np.linspace(0.02, 0.98, 9) * size[0], np.linspace(0.02, 0.98, 7) * size[1])
     picture = np.column_stack([u.ravel(), v.ravel()])
     truth = PlaneMap(nominal, invert(pose_from_rvec(start[:3], start[3:]))).to_plane(picture)
-    columns = [bundle.NAMES.index(name) for name in fit.free if name in bundle.NAMES]
-    covariance = fit.covariance[: len(columns), : len(columns)]
+    criteria = np.array([candidate.aic for candidate in candidates])
+    weights = np.exp((criteria.min() - criteria) / 2.0)
     random = np.random.default_rng(0)
     errors = []
-    for draw in random.multivariate_normal(np.zeros(len(columns)), covariance, _DRAWS, method="eigh"):
-        lens = fit.lens.copy()
-        lens[columns] += draw
+    for index in random.choice(len(candidates), _DRAWS, p=weights / weights.sum()):
+        drawn = candidates[index]
+        columns = [bundle.NAMES.index(name) for name in drawn.free if name in bundle.NAMES]
+        covariance = drawn.covariance[: len(columns), : len(columns)]
+        lens = drawn.lens.copy()
+        lens[columns] += random.multivariate_normal(np.zeros(len(columns)), covariance, method="eigh")
         found = refine_pose(sheet, seen, lens, start)
         plane = PlaneMap(bundle.camera_of(lens, size), invert(pose_from_rvec(found[:3], found[3:])))
         errors.append(np.linalg.norm(plane.to_plane(picture) - truth, axis=1))
@@ -247,8 +261,8 @@ def _choose(
     model: LensModel | None,
     coverage: float,
     consider_bow: bool,
-) -> tuple[bundle.Fit, LensModel]:
-    """The candidate with the lowest BIC; the board's bow is tried on the best one."""
+) -> tuple[bundle.Fit, LensModel, list[bundle.Fit]]:
+    """The candidate with the lowest BIC, and all candidates; the board's bow is tried on the best one."""
     if model is not None:
         candidates = [model]
     else:
@@ -260,8 +274,8 @@ def _choose(
         bowed = [(_refit(views, best.lens, best.poses, candidate, bow=True), candidate) for candidate in candidates]
         with_bow, its_model = min(bowed, key=lambda pair: pair[0].bic)
         if with_bow.bic < best.bic:
-            return with_bow, its_model
-    return best, chosen
+            return with_bow, its_model, [fit for fit, _ in bowed]
+    return best, chosen, [fit for fit, _ in fits]
 
 
 def _check_count(views: Sequence[tuple[str, BoardView]], out: Sequence[tuple[str, str]], board: Board) -> None:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from controller.calibration import files
 from controller.calibration.arm import ArmCalibration, Residual
-from controller.calibration.arm_model import PRIOR_OFFSET, MarkerView, Unknowns, has_roll
+from controller.calibration.arm_model import PRIOR_JAWS, PRIOR_OFFSET, MarkerView, Unknowns, has_roll
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.looks import seen_beside, spread_places
 from controller.calibration.marker import ArmMarker
@@ -53,8 +53,7 @@ class Certificate:
             mounted: where the calibrated model says it would have ended.
         places: ndarray of shape (N, 2), in `table`, mm.
         errors: ndarray of shape (N, 2), seen minus sent, mm.
-        unseen_mm: What the grasp point may lie beside what the marker tells, in the mean, mm: an arm without a
-            wrist roll cannot tell the offset of its last joint from the mount of the marker.
+        unseen_mm: What the grasp point may lie beside what the marker tells, mm: how well touches showed the jaws.
         verdict: `passed` or `failed`.
         calibration_id: Of the arm's calibration, which names lens and table.
     """
@@ -139,7 +138,8 @@ def check_arm(
     """
     description = arm.description
     view = MarkerView(description, marker or ArmMarker(), lens.camera, table.T_table_camera, calibration.T_base_table)
-    straight = Unknowns(invert(calibration.T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
+    aligned = np.zeros(len(description.joints))
+    straight = Unknowns(invert(calibration.T_base_table), calibration.T_tool_marker, aligned, calibration.jaws)
     fitted = np.array(calibration.places).reshape(-1, 3)
     record = calibration.error_map
     known = None if record is None else record.map
@@ -148,7 +148,7 @@ def check_arm(
         above = spread_places(view, straight, fitted, FIRST_LOOKS, LOOK_HEIGHT, radius, azimuth, seed)
         _unmoved(camera, clock, move_to, view, straight, above)
     wanted = spread_places(view, straight, fitted, points, height, radius, azimuth, seed, mapped)
-    ruler = Unknowns(invert(T_base_table), calibration.T_tool_marker, np.zeros(len(description.joints)))
+    ruler = Unknowns(invert(T_base_table), calibration.T_tool_marker, aligned)
     offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in description.joint_names])
     places, errors, moved, before = [], [], [], []
     for index, q in enumerate(wanted, 1):
@@ -172,7 +172,7 @@ def check_arm(
         moved.append(first - shift)
         errors.append(beside - shift)
         # Sent to the same place by ruler, the encoders read as joints: the calibrated model says where it ends.
-        blind = view.tools(Unknowns(straight.T_table_base, straight.T_tool_marker, offsets), q[None])[0]
+        blind = view.tools(replace(straight, offsets=offsets), q[None])[0]
         before.append(blind[:2] - view.tools(ruler, q[None])[0][:2] + beside)
     if 3 * len(places) < 2 * len(wanted):
         raise CalibrationPoorFit(
@@ -194,16 +194,17 @@ def check_arm(
 
 
 def _unseen(view: MarkerView, calibration: ArmCalibration) -> float:
-    """Mean distance (mm) of the true grasp point from the one the marker tells.
+    """Mean distance (mm) of the true grasp point from the one the calibration has.
 
-    Turning the last joint turns the marker about the tool's axis, which shows where that axis is. Where the last
-    joint is the wrist's pitch, its offset is part of the marker's mount: only a tip that touches things shows it.
+    The marker shows where the hand is, never where its jaws are, nor, where the last joint is the wrist's pitch, how
+    far that is off its mark: its offset is part of the marker's mount. Only jaws that touch things show it.
     """
+    y = calibration.sigma.get("jaws_y", PRIOR_JAWS)
     if has_roll(view.arm):
-        return 0.0
-    hand = float(np.linalg.norm(view.arm.tool))
-    deviation = calibration.sigma.get(view.arm.joint_names[-1], PRIOR_OFFSET)
-    return hand * deviation * math.sqrt(2.0 / math.pi)  # mean of the size of a normal deviate
+        z = calibration.sigma.get("jaws_z", PRIOR_JAWS)
+    else:
+        z = float(np.linalg.norm(view.arm.tool)) * calibration.sigma.get(view.arm.joint_names[-1], PRIOR_OFFSET)
+    return math.sqrt(math.pi / 4.0) * math.hypot(y, z)  # mean size of a normal deviate in two directions
 
 
 def _unmoved(

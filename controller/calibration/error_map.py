@@ -113,7 +113,7 @@ def look_around(
         ArmError, CameraError: A device failed.
     """
     view = replace(view, T_base_table=made.T_base_table)
-    straight = Unknowns(invert(made.T_base_table), made.T_tool_marker, np.zeros(len(arm.description.joints)))
+    straight = Unknowns(invert(made.T_base_table), made.T_tool_marker, np.zeros(len(arm.description.joints)), made.jaws)
     try:
         wanted = spread_places(
             view, straight, np.array(made.places), LOOKS, clearance, area.radius, area.azimuth, seed

@@ -82,6 +82,7 @@ def cell_calibration(camera: CameraCalibration, table: TableCalibration, arm: Ar
         # The stated figure is a 95th percentile of a distance in two dimensions: 2.45 standard deviations.
         sigma=camera.uncertainty_mm / 2.45,
         error_map=arm.error_map.map if arm.error_map is not None else None,
+        jaws=arm.jaws,
     )
 
 

@@ -86,14 +86,13 @@ def _caption(panel: Image, found: Certificate, made_at: str) -> None:
         f"touch: mean {touch.mean:.2f} mm (limit {MEAN_LIMIT:g})",
         f"   p95 {touch.p95:.2f} mm (limit {P95_LIMIT:g})",
         f"   worst {touch.max:.2f} mm, {len(found.places)} places",
+        f"   and {found.unseen_mm:.1f} mm that the marker cannot show",
         f"by ruler alone: mean {before.mean:.1f} mm",
         found.calibration_id,
         made_at,
         f"arrows: sent to seen, {_MAGNIFIED:g} times as long",
         "x of the table up, y to the left",
     ]
-    if found.unseen_mm:
-        lines.insert(3, f"   and {found.unseen_mm:.1f} mm that the marker cannot show")
     for index, line in enumerate(lines):
         cv2.putText(panel, line, (0, 90 + 24 * index), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
     top = 90 + 24 * len(lines)

@@ -315,11 +315,10 @@ def _certificate(result: dict[str, Any], folder: Path) -> None:
         if key in result:
             grid.add_row(what, *(f"{result[key][figure]:.2f}" for figure in ("mean", "p95", "max")))
     stdout().print(grid)
-    if result["unseen_mm"]:
-        print(
-            f"the marker shows where the tip is to {result['unseen_mm']:.1f} mm only, counted in the verdict: this arm "
-            "has no wrist roll, and only touches tell the offset of its last joint from the marker's mount"
-        )
+    print(
+        "the marker cannot show where the jaws are: what touched tells it to "
+        f"{result['unseen_mm']:.1f} mm, which the verdict counts"
+    )
     mean, p95 = (result["limits_mm"][figure] for figure in ("mean", "p95"))
     print(f"{result['verdict']} at {result['points']} places (limits: mean {mean:g}, p95 {p95:g} mm)")
     print(f"Certificate and heat map: {folder}")

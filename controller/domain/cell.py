@@ -59,6 +59,7 @@ class CellCalibration:
         joint_offsets: rad by joint name: added to a wanted joint angle before it is commanded.
         sigma: Standard deviation of a point on the table, mm.
         error_map: What the tool still misses by, where that is known.
+        jaws: (y, z) of the middle of the jaws beside its place in the drawing, in `tool`, mm.
     """
 
     calibration_id: str
@@ -68,6 +69,7 @@ class CellCalibration:
     joint_offsets: Mapping[str, float] = field(default_factory=dict)
     sigma: float = 0.0
     error_map: ErrorMap | None = None
+    jaws: Point = (0.0, 0.0)
 
     def plane(self, height: float = 0.0) -> PlaneMap:
         """The map between pixels and the plane z = `height` (mm) of `table`."""

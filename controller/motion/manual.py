@@ -13,7 +13,7 @@ from controller.domain import ArmDescription, Array, Bin, CellCalibration, Traje
 from controller.errors import LimitViolation
 from controller.geometry import invert, transform
 from controller.motion import dynamics
-from controller.motion.kinematics import chain, points
+from controller.motion.kinematics import chain, forward, points
 from controller.motion.path import Leg, join, line, straight
 from controller.motion.planner import Planner
 from controller.motion.trajectory import generate
@@ -47,8 +47,8 @@ class ManualPlanner:
         return np.clip(np.asarray(measured, np.float64) - self._offsets, c.low, c.high)
 
     def tool(self, posture: Array) -> Array:
-        """The grasp point in `table`: ndarray of shape (3,), mm."""
-        return transform(self._T_table_base, points(self.arm, posture)[3])
+        """The grasp point, the middle of the jaws, in `table`: ndarray of shape (3,), mm."""
+        return transform(self._T_table_base @ forward(self.arm, posture), [0.0, *self.calibration.jaws])
 
     def home(self, measured: Array) -> Trajectory:
         """To the ready pose. Raises LimitViolation."""

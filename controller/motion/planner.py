@@ -67,7 +67,7 @@ class Planner:
         self._T = np.asarray(calibration.T_base_table, np.float64)
         self._eye = transform(self._T, np.asarray(calibration.T_table_camera, np.float64)[:3, 3])
         self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
-        self._postures = Postures(arm, self.gate, calibration.error_map)
+        self._postures = Postures(arm, self.gate, calibration.error_map, calibration.jaws)
         self._moves = Moves(arm, self.gate, self._offsets, self._postures.clear, speed)
 
     @property
@@ -197,7 +197,7 @@ class Planner:
         raise failure
 
     def plan_touch(
-        self, part: LocatedObject, beside: Point, by: Array, start: Array
+        self, part: LocatedObject, beside: Point, by: Array, roll: float, start: Array
     ) -> tuple[Trajectory, Trajectory, Trajectory]:
         """Down beside a part that lies alone, a slow push with the closed jaws, and back to the ready pose.
 
@@ -205,6 +205,7 @@ class Planner:
             part: What is pushed.
             beside: (x, y) in `table` where the jaws come down, mm.
             by: ndarray of shape (2,): how far the jaws go, `table`, mm.
+            roll: Of the wrist while they go, rad.
             start: ndarray of shape (J,): measured joint angles, rad.
 
         Returns:
@@ -217,7 +218,7 @@ class Planner:
         q0 = self._moves.start(start)
         opening = self.arm.gripper.opening[0]
         height = grasps.grasp_height(part, self.arm.gripper)
-        stop = self._postures.over(beside, height, None, self._postures.tangent(beside))
+        stop = self._postures.over(beside, height, (roll,))
         approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), 0.0, opening, 0.0)
         along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*by, 0.0]))
         push = self._moves.calm("touch", [along], [], TOUCH_SPEED)

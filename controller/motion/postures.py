@@ -16,7 +16,16 @@ from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
 from controller.motion import grasps
 from controller.motion.gate import WALL_MARGIN, Gate
-from controller.motion.kinematics import FACING_UP, TOP_DOWN, chain, closing_direction, inverse, roll_for, solutions
+from controller.motion.kinematics import (
+    FACING_UP,
+    TOP_DOWN,
+    chain,
+    closing_direction,
+    inverse,
+    roll_for,
+    rotation,
+    solutions,
+)
 from controller.motion.path import speed_limits
 
 # Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
@@ -48,15 +57,19 @@ class Postures:
         arm: The arm.
         gate: Knows where the table lies and what the jaws fit into.
         error_map: What the tool comes down beside its aim, where that is known.
+        jaws: (y, z) of the middle of the jaws beside its place in the drawing, in `tool`, mm.
 
     Attributes:
         clear: Height of the grasp point over the table (mm) at which jaw tips and a held part pass over everything.
     """
 
-    def __init__(self, arm: ArmDescription, gate: Gate, error_map: ErrorMap | None = None) -> None:
+    def __init__(
+        self, arm: ArmDescription, gate: Gate, error_map: ErrorMap | None = None, jaws: Point = (0.0, 0.0)
+    ) -> None:
         self._arm = arm
         self._gate = gate
         self._error_map = error_map
+        self._jaws = np.array([0.0, *jaws])
         self._T = gate.T_base_table
         self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
         highest = max([TALLEST_PART, *(bin_.height for bin_ in gate.bins)])
@@ -76,7 +89,7 @@ class Postures:
 
         Args:
             point: (x, y) in `table`, mm.
-            height: z of the grasp point in `table`, mm.
+            height: z of the grasp point, the middle of the jaws, in `table`, mm.
             rolls: Rolls to choose from; None: those that close along `direction` (rad, `table`).
             direction: See `rolls`.
 
@@ -85,12 +98,13 @@ class Postures:
         """
         arm = self._arm
         aim = point if self._error_map is None else self._error_map.aim(point)
-        position = transform(self._T, [*aim, height])
+        middle = transform(self._T, [*aim, height])
         rise = max(LIFT, self.clear - height)
         if rolls is None:
             rolls = roll_for(arm, self.azimuth(point), direction + self._yaw) or (0.0,)
         roll = min(rolls, key=abs)
         for pitch in PITCHES:
+            position = middle - rotation([self.azimuth(aim), pitch, 0.0, 0.0, roll]) @ self._jaws
             ends = [
                 next((q for k, q in solutions(arm, place, pitch, roll, within=True) if k == FACING_UP), None)
                 for place in (position, position + np.array([0.0, 0.0, rise]))
@@ -99,9 +113,9 @@ class Postures:
             if ends[0] and ends[1] and min(self._bend(ends[0]), self._bend(ends[1])) > MIN_BEND:
                 return Stop(np.array(ends[0]), np.array(ends[1]), rise)
         for over in (0.0, rise):
-            inverse(arm, position + np.array([0.0, 0.0, over]), TOP_DOWN, roll)
+            inverse(arm, middle + np.array([0.0, 0.0, over]), TOP_DOWN, roll)
         raise Unreachable(
-            f"({position[0]:.0f}, {position[1]:.0f}) mm can only be reached with the arm stretched out or folded back",
+            f"({middle[0]:.0f}, {middle[1]:.0f}) mm can only be reached with the arm stretched out or folded back",
             "move it nearer, or in front of the arm",
         )
 

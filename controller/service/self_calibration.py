@@ -23,9 +23,9 @@ from controller import __version__
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
 from controller.calibration import certificate, files
 from controller.calibration.arm import ArmCalibration, Residual
-from controller.calibration.arm_model import MarkerView, has_roll
+from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_procedure import calibrate_arm
-from controller.calibration.arm_touch import Touch, push_part
+from controller.calibration.arm_touch import PUSHES, Touch, push_part
 from controller.calibration.boards import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.error_map import Area, look_around
@@ -133,19 +133,19 @@ def calibrate_camera_and_table(
 
 
 def calibrate_arm_in(
-    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, mapped: bool = True
+    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, thorough: bool = True
 ) -> ArmCalibration:
     """Measure where the arm stands and how its joints are mounted, with the lens and table of `folder`; keep it there.
 
-    Blocks; moves metal: the arm shows its marker to the camera, touches a round part where it has no wrist roll and
-    such a part lies there, parks and is relaxed. Nothing else may lie on the table.
+    Blocks; moves metal: the arm shows its marker to the camera, touches a round part where one lies there, parks and is
+    relaxed. Nothing else may lie on the table.
 
     Args:
         devices: Open.
         config: The cell.
         folder: Of the calibration.
         progress: Takes lines for people.
-        mapped: Also map what is left of the errors over the work area: a minute more.
+        thorough: Push the part twice as often, and map what is left of the errors over the work area: a minute more.
 
     Raises:
         CalibrationMissing: There is no lens or table in the folder.
@@ -165,7 +165,8 @@ def calibrate_arm_in(
             calibration = cell_calibration(lens, table, known)
             planner = planner_in(devices.arm, config, calibration, folder)
             look = partial(_round_part, devices, config, planner, load_recipe(config.vision.recipe))
-            touches = push_part(devices.arm, devices.clock, planner, look, progress=progress)
+            pushes = PUSHES if thorough else PUSHES // 2
+            touches = push_part(devices.arm, devices.clock, planner, look, pushes, progress)
             devices.clear_table()
             return touches
 
@@ -177,10 +178,10 @@ def calibrate_arm_in(
             lens=lens,
             table=table,
             T_base_table=config.table.T_base_table(),
-            touch=None if has_roll(devices.arm.description) else touch,
+            touch=touch,
             progress=progress,
         )
-        if mapped:
+        if thorough:
             mover.planner = planner_in(devices.arm, config, cell_calibration(lens, table, made), folder)
             made = look_around(
                 devices.arm,
@@ -229,11 +230,11 @@ def _area(config: CellConfig) -> Area:
 
 
 def calibrate_cell(
-    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, mapped: bool = True
+    devices: Devices, config: CellConfig, folder: Path, progress: Say, *, thorough: bool = True
 ) -> CellCalibration:
     """Measure lens, table and arm, and keep the calibration in `folder`; see the two steps."""
     calibrate_camera_and_table(devices, config, folder, progress)
-    calibrate_arm_in(devices, config, folder, progress, mapped=mapped)
+    calibrate_arm_in(devices, config, folder, progress, thorough=thorough)
     return load_calibration(folder)
 
 

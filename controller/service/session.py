@@ -295,7 +295,7 @@ class Session:
             began = devices.clock.now()
             devices.clear_table()
             made = calibrate_cell(
-                devices, self._config, folder / "calibration", self.options.say, mapped=False
+                devices, self._config, folder / "calibration", self.options.say, thorough=False
             )
             devices.lay_parts()
             watch_landmarks(devices.camera, folder / "calibration")

@@ -79,7 +79,7 @@ def look_at_cell(
     devices.open()
     try:
         devices.clear_table()
-        calibration = calibrate_cell(devices, config, folder / "calibration", lambda line: None, mapped=False)
+        calibration = calibrate_cell(devices, config, folder / "calibration", lambda line: None, thorough=False)
         devices.lay_parts()
         planner = Planner(arm, calibration, config.bin_values())
         devices.arm.follow(planner.home(devices.arm.energise().positions))

@@ -206,9 +206,10 @@ class Soak(Observer):
         self._yardsticks.append(_yardstick())
         self.found.supplies += 1
         person = Person(world, cell.spec.work_area)
-        for index in range(len(world.parts)):
+        count = len(cell.truth())
+        for index in range(count):
             world.loose.take_away(index)
-        for index in self._random.permutation(len(world.parts)):
+        for index in self._random.permutation(count):
             place = person.room_for(world.parts[index], self._random)
             if place is not None:
                 (x, y), yaw = place

@@ -54,6 +54,8 @@ class Metal:
         nominal: T_base_table by ruler.
         seed: Of everything that is off.
         play: Full play of every joint, rad.
+        pixel: Noise of a corner, px per axis.
+        jaws: (y, z) of the middle of the jaws beside the drawing, in `tool`, mm.
     """
 
     arm: ArmDescription
@@ -63,6 +65,7 @@ class Metal:
     seed: int = 0
     play: float = math.radians(0.3)
     pixel: float = 0.1
+    jaws: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         self.random = np.random.default_rng(self.seed)
@@ -76,6 +79,10 @@ class Metal:
         slack = self.random.uniform(-self.play / 2, self.play / 2, len(encoders))
         return invert(self.T_base_table) @ chain_forward(self.arm, encoders - self.offsets + slack)
 
+    def grasp_point(self, encoders: Array) -> Array:
+        """The middle of the jaws (3,) in `table`, mm."""
+        return np.asarray((self.tool(encoders) @ [0.0, *self.jaws, 1.0])[:3])
+
     def corners(self, encoders: Array) -> Array:
         """Where the camera sees the marker's corners (4, 2), px."""
         T = invert(self.T_table_camera) @ self.tool(encoders) @ self.T_tool_marker
@@ -88,6 +95,7 @@ class Metal:
         At every height the disc is stopped by the two inner edges of the jaws' faces; the foremost height counts.
         """
         T = self.tool(encoders)
+        T[:3, 3] += T[:3, :3] @ [0.0, *self.jaws]
         half, face = self.arm.gripper.opening[0] / 2.0, side * self.arm.gripper.jaw_size[1] / 2.0
         ahead = side * T[:2, 2] / np.linalg.norm(T[:2, 2])
         rests = []

@@ -36,9 +36,13 @@ def metal(seed: int) -> Metal:
     return Metal(ARM, LENS, ABOVE @ small(np.random.default_rng(seed), 15.0, 3.0), seed=seed)
 
 
-def calibrated(m: Metal) -> ArmCalibration:
+def calibrated(m: Metal, *, touched: bool = False) -> ArmCalibration:
+    """By its marker; and by eight pushes of a disc, the wrist turned to either side."""
     view = MarkerView(ARM, ArmMarker(), LENS, m.T_table_camera, m.nominal)
-    return fit_arm(view, [Observation(q, m.corners(q)) for q in choose(view, 20, clearance=45.0)])
+    seen = [Observation(q, m.corners(q)) for q in choose(view, 20, clearance=45.0)]
+    poses = [kinematics.inverse(ARM, [200.0, y, 24.0], roll=roll)[0] for y in (-30.0, 20.0) for roll in (1.57, -1.57)]
+    pushes = [m.push(q, side, 21.5, 24.0) for q in poses for side in (1.0, -1.0)] if touched else []
+    return fit_arm(view, seen, touches=pushes)
 
 
 def check(
@@ -68,7 +72,7 @@ def check(
         table=table,
         calibration=calibration,
         T_base_table=m.nominal,
-        arrived=lambda place: missed.append(m.tool(cell.q)[:2, 3] - place[:2]),
+        arrived=lambda place: missed.append(m.grasp_point(cell.q)[:2] - place[:2]),
         **options,
     )
     return found, np.array(missed)
@@ -76,8 +80,10 @@ def check(
 
 @pytest.mark.safety("SR-05")
 def test_a_calibrated_arm_gets_a_good_one_and_an_uncalibrated_a_poor_one() -> None:
-    m = metal(1)
-    arm = calibrated(m)
+    m = replace(metal(1), jaws=(0.9, -0.8))
+    arm = calibrated(m, touched=True)
+    # What 0.3 degrees of play leave of eight touches.
+    assert np.abs(np.array(arm.jaws) - m.jaws).max() < 0.3
     found, missed = check(m, arm, seed=7, points=8)
     true = np.linalg.norm(missed, axis=1)
     assert found.verdict == PASSED
@@ -90,6 +96,14 @@ def test_a_calibrated_arm_gets_a_good_one_and_an_uncalibrated_a_poor_one() -> No
     # The marker's mount by its drawing is off by up to 2 mm an axis: so is what its look says of a touch.
     assert raw.touch_mm.mean > 1.5
     assert np.linalg.norm(raw_missed, axis=1).mean() > 1.5
+
+
+def test_jaws_off_centre_that_nothing_touched_are_not_certified() -> None:
+    m = replace(metal(1), jaws=(0.9, -0.8))
+    found, missed = check(m, calibrated(m), seed=7, points=6)
+    assert found.touch_mm.mean < 0.8  # the camera sees nothing wrong
+    assert np.linalg.norm(missed, axis=1).mean() > 0.8
+    assert found.verdict == FAILED
 
 
 def test_places_are_fresh_spread_and_repeatable() -> None:

@@ -76,7 +76,7 @@ def test_the_planner_sends_the_arm_where_the_map_says_it_comes_down_right() -> N
     for cell in (plain, replace(plain, error_map=shift)):
         planner = Planner(RX150, cell, ())
         _, push, _ = planner.plan_touch(
-            part(Shape.CIRCLE, 43.0, (20.0, 30.0)), (-20.0, 30.0), np.array([8.0, 0.0]), np.array(RX150.ready)
+            part(Shape.CIRCLE, 43.0, (20.0, 30.0)), (-20.0, 30.0), np.array([8.0, 0.0]), 0.0, np.array(RX150.ready)
         )
         ends.append(points(RX150, push.positions[0])[3])
     assert np.allclose(ends[1] - ends[0], [-0.7, 0.4, 0.0], atol=1e-6)
