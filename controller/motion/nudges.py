@@ -15,14 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import Array, Bin, Gripper, LocatedObject, Point, Shape
+from controller.domain import Array, Bin, Gripper, LocatedObject, Point
 from controller.errors import NoClearGrasp
-from controller.geometry import angle_difference, wrap
-from controller.motion import grasps
+from controller.geometry import angle_difference
+from controller.motion import grasps, pushing
 
 GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
 TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the least that frees the target first
-BUMP = 3.0  # mm a pushed part keeps from others: it may turn a little on its way
 AREA_MARGIN = 5.0  # mm that a pushed part's middle keeps from the border of the area
 _NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp
 _ASIDE = (0.0, 6.0, -6.0, 18.0, -18.0)  # mm by which the box may push beside the part's middle; one finger by the last
@@ -31,14 +30,11 @@ SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a p
 _INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: straight into it moves both alike
 _COST_INTO = 20.0  # 45 deg into two of them still parts them best
 _TAKES_ALONG = 0.5  # cosine above which a neighbour is taken along
-_LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
 _LEAST_TURN = math.radians(15.0)  # less is not worth a push of its own
 _TURNING_TRAVEL = 30.0  # mm after which a part of up to 50 mm lies with a side against the box
 _LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the middle
-_HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
 # What makes one push better than another that frees the target as well, in mm of travel.
 _COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
-_BOTH = 2.0  # mm within which both fingers meet a part about at once
 _SAME_PLACE, _SAME_WAY = 3.0, 0.9  # mm; cosine: what is pushed so again has not given way
 _BACK = 12.0  # mm about where a part lay before it was pushed: it is not pushed there again
 _MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
@@ -172,7 +168,7 @@ class _Scene:
                 ahead = np.array(push.by)
                 if push.lever == 0.0 or push.travel < _TURNING_TRAVEL:
                     continue
-                end = lands(target, _TURNING_TRAVEL * ahead)[-1]
+                end = pushing.lands(target, _TURNING_TRAVEL * ahead)[-1]
                 turn = abs(angle_difference(end.yaw or 0.0, target.yaw or 0.0, target.shape.period or math.pi))
                 if turn > _LEAST_TURN and self._inside(np.array(end.center)):
                     by = (GAP + target.sigma + push.slack + _TURNING_TRAVEL) * ahead
@@ -222,19 +218,19 @@ class _Scene:
         ahead = np.array([math.cos(heading), math.sin(heading)])
         left = np.array([-ahead[1], ahead[0]])
         broad = abs(math.sin(heading - direction)) > 0.5
-        hull = _hull(moved) - np.array(moved.center)
-        fingers = _fingers(self.gripper, direction, ahead, left)
+        hull = pushing.hull_of(moved) - np.array(moved.center)
+        fingers = pushing.finger_edges(self.gripper, direction, ahead, left)
         if self.tangent is not None:
             # The gripper turns with the waist: where it comes down it stands otherwise than at the part.
             x, y = np.array(moved.center) + (float((hull @ ahead).min()) - fingers[..., 0].max()) * ahead
-            fingers = _fingers(self.gripper, self.tangent((float(x), float(y))), ahead, left)
+            fingers = pushing.finger_edges(self.gripper, self.tangent((float(x), float(y))), ahead, left)
         deep, wide = float(fingers[..., 0].max()), float(fingers[..., 1].max())
         away = blocked - np.array(moved.center)
         along, beside = away @ ahead, away @ left
         room = grasps.MIN_CLEARANCE + moved.sigma
-        most = _free_travel(hull, ahead, left, along, beside)
+        most = pushing.free_travel(hull, ahead, left, along, beside)
         gap = GAP + moved.sigma
-        rim = _rim(hull)
+        rim = pushing.rim_of(hull)
         for aside in _ASIDE:
             # The box keeps clear of what of the rim lies in its way, which need not be the rearmost corner.
             met = rim[np.abs(rim @ left - aside) < wide + room]
@@ -246,7 +242,7 @@ class _Scene:
             if (lane & (np.abs(along - middle) < deep + room)).any():
                 continue
             coming = along[lane & (along > middle)]
-            slack, lever = _contact(fingers, rim @ ahead - middle, rim @ left - aside, aside)
+            slack, lever = pushing.contact(fingers, rim @ ahead - middle, rim @ left - aside, aside)
             slack -= gap
             free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap - slack)
             if not math.isfinite(slack) or (free < TRAVELS[0] and not through):
@@ -271,7 +267,7 @@ class _Scene:
                 return None
             if not self._inside(np.array(moved.center) + travel * ahead):
                 return None
-            ends = lands(moved, travel * ahead)
+            ends = pushing.lands(moved, travel * ahead)
             if push.lever == 0.0:
                 # Both fingers hold a side or a corner of it.
                 ends = ends[:1]
@@ -313,108 +309,3 @@ def _again(push: Push, lay: Point, by: Point) -> bool:
 
 def _distance(a: LocatedObject, b: LocatedObject) -> float:
     return math.dist(a.center, b.center)
-
-
-def _free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: Array) -> float:
-    """How far a hull about its centre may go until it comes within `BUMP` of one of the points before it, mm."""
-    across = hull @ left
-    half = np.maximum(np.abs(across).max(), _HALF_WIDE) + BUMP
-    reach = float((hull @ ahead).max())
-    lane = (np.abs(beside) < half) & (along > 0.0)
-    if not lane.any():
-        return math.inf
-    # The front of a hull is its farthest point beside a lane of twice BUMP about each obstacle.
-    edge = _rim(hull)
-    gaps = np.abs((edge @ left)[None] - beside[lane][:, None])
-    front = np.where(gaps < 2.0 * BUMP, (edge @ ahead)[None], -math.inf).max(axis=1)
-    front = np.where(np.isfinite(front), front, -reach)
-    return float((along[lane] - front).min()) - BUMP
-
-
-def _fingers(gripper: Gripper, direction: float, ahead: Array, left: Array) -> Array:
-    """Edges of the two closed fingers about the gripper's middle: ndarray of shape (8, 2, 2), (ahead, left) in mm.
-
-    Between fingers closed as far as they go there still is their narrowest opening, into which a corner fits.
-    """
-    thickness, across = gripper.jaw_size
-    half = gripper.opening[0] / 2.0
-    axis = np.array([math.cos(direction), math.sin(direction)])
-    normal = np.array([-axis[1], axis[0]])
-    edges = []
-    for side in (1.0, -1.0):
-        corners = [
-            side * (half + out * thickness) * axis + beside * across / 2.0 * normal
-            for out, beside in ((0.0, -1.0), (1.0, -1.0), (1.0, 1.0), (0.0, 1.0))
-        ]
-        placed = np.array(corners) @ np.column_stack([ahead, left])
-        edges.append(np.stack([placed, np.roll(placed, -1, axis=0)], axis=1))
-    return np.concatenate(edges)
-
-
-def _contact(fingers: Array, along: Array, beside: Array, aside: float) -> tuple[float, float]:
-    """How far fingers go ahead until they meet points of a rim, and how far beside the rim's middle that is, mm.
-
-    Args:
-        fingers: See `_fingers`.
-        along: ndarray of shape (N,): the points, ahead of the gripper's middle.
-        beside: ndarray of shape (N,): the points, left of it.
-        aside: How far the gripper's middle stands left of the rim's.
-
-    Returns:
-        inf and 0 when they pass on both sides of it. What both fingers meet is not turned: 0 beside.
-    """
-    start, end = fingers[:, 0], fingers[:, 1]
-    across = end[:, 1] - start[:, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (beside[:, None] - start[:, 1]) / across
-        front = start[:, 0] + share * (end[:, 0] - start[:, 0])
-    ways = along[:, None] - np.where((share >= 0.0) & (share <= 1.0), front, -math.inf)
-    nearest = ways.reshape(len(along), 2, -1).min(axis=(0, 2))  # of each finger
-    way = float(nearest.min())
-    if not math.isfinite(way):
-        return math.inf, 0.0
-    if nearest.max() - way < _BOTH:
-        return way, 0.0
-    index = int(ways.min(axis=1).argmin())
-    return way, abs(float(beside[index]) + aside)
-
-
-def _rim(hull: Array) -> Array:
-    """Points (N, 2) every 2 mm along a hull's sides, and its corners."""
-    return np.vstack([hull, grasps.dense(hull)])
-
-
-def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
-    """How a part pushed by (dx, dy) mm may come to lie: as it was, and turned until a side lies against the box."""
-    center = np.array(moved.center)
-    ahead = by / math.hypot(*by)
-    straight = replace(
-        moved, center=(float(center[0] + by[0]), float(center[1] + by[1])), footprint=moved.footprint + by
-    )
-    if moved.shape is Shape.CIRCLE:
-        return (straight,)
-    hull = _hull(moved)
-    edges = np.roll(hull, -1, axis=0) - hull
-    edges = edges[np.linalg.norm(edges, axis=1) > 0.3 * max(moved.size)]
-    if not len(edges):
-        return (straight,)
-    # Outward normals of the sides long enough to come to rest on, for a hull walked counter-clockwise.
-    turns = np.arctan2(-ahead[1], -ahead[0]) - np.arctan2(-edges[:, 0], edges[:, 1])
-    turns = (turns + math.pi) % (2.0 * math.pi) - math.pi
-    turn = float(turns[np.argmin(np.abs(turns))])
-    if abs(turn) > _LARGEST_TURN:
-        return (straight,)
-    c, s = math.cos(turn), math.sin(turn)
-    footprint = (moved.footprint - center) @ np.array([[c, s], [-s, c]]) + center + by
-    period = moved.shape.period
-    yaw = None if moved.yaw is None or period is None else wrap(moved.yaw + turn, period)
-    flush = replace(straight, footprint=footprint, yaw=yaw)
-    return straight, flush
-
-
-def _hull(part: LocatedObject) -> Array:
-    """Convex hull of the footprint, counter-clockwise: ndarray of shape (N, 2), mm."""
-    hull = cv2.convexHull(part.footprint.astype(np.float32)).reshape(-1, 2).astype(np.float64)
-    x, y = hull.T
-    signed = float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-    return hull if signed > 0.0 else hull[::-1]

@@ -19,8 +19,8 @@ import numpy as np
 from controller.config.arm import load_arm
 from controller.domain import LocatedObject, Shape
 from controller.errors import NoClearGrasp, PlanError
-from controller.motion.nudges import lands
 from controller.motion.planner import Planner
+from controller.motion.pushing import lands
 from tests.benchmarks.motion import AREA
 from tests.unit.motion.scene import PARTS, at, bins, calibration, part, polygon_gap
 
