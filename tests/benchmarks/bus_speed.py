@@ -2,9 +2,9 @@
 
 A cycle is a sync read of 10 bytes (load, velocity, position) and a sync write of Goal_Position, five servos.
 The servos are simulated in a process of their own behind a pseudo-terminal, in real time, with Return_Delay_Time
-0 and an ideal adapter. Printed: the median cycle's rate in the best of six
-windows, its share of what the wire allows, the processor time
-of the driver's process as a share of one core, and what one missing servo costs.
+0 and an ideal adapter. Printed: the median cycle's rate in the best of six windows, its share of what the wire
+allows, the processor time of the driver's process as a share of one core, and what one missing servo costs. Ends in
+verdicts on our own driver; 1 when something wanted is missed.
 
     python -m tests.benchmarks.bus_speed [--seconds S] [--baud B ...] [--json]
 """
@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
@@ -37,6 +38,8 @@ FAST_READ = 14 + len(IDS) + 8 + len(IDS) * (4 + FEEDBACK[1])
 WRITE = 14 + 5 * len(IDS)
 
 Cycle = Callable[[], bool]
+
+OF_WIRE, CORE, MISSING_MS = 0.90, 0.15, 12.0  # what is wanted: at least, at most, at most
 
 _AWAKE = 0.0003  # s
 _WINDOWS = 6  # the best of them counts: other programs on the machine make single ones slow, never fast
@@ -139,8 +142,20 @@ def measure(cycle: Cycle, seconds: float) -> tuple[float, float, int]:
     return min(medians), share, failed
 
 
-def main() -> None:
-    """Print the table."""
+def _verdict(row: dict[str, Any]) -> bool:
+    """Hold a row of our own driver against what is wanted, and say so."""
+    good = row["of_wire"] >= OF_WIRE and row["core"] <= CORE and row["missing_ms"] <= MISSING_MS and not row["failed"]
+    print(
+        f"{row['baud']} baud, {row['read']} read: {row['of_wire']:.1%} of the wire (wanted {OF_WIRE:.0%}), "
+        f"{row['core']:.1%} of a core ({CORE:.0%}), a missing servo {row['missing_ms']} ms ({MISSING_MS:g}), "
+        f"{row['failed']} failed: {'pass' if good else 'FAIL'}",
+        file=sys.stderr,
+    )
+    return bool(good)
+
+
+def main() -> int:
+    """Print the table and the verdicts; 1 when something wanted is missed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--baud", type=int, nargs="*", default=[57_600, 1_000_000])
@@ -149,7 +164,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.serve:
         serve(options.serve[0], options.serve[1] or None)
-        return
+        return 0
+    rows: list[dict[str, Any]] = []
     if not options.json:
         print(f"{'baud':>8} {'read':5} {'driver':14} {'Hz':>7} {'of wire':>8} {'core':>6} {'missing servo':>14}")
     for baud in options.baud:
@@ -170,6 +186,7 @@ def main() -> None:
                     "of_wire": round(wire / usual, 3), "core": round(share, 3), "missing_ms": round(gap * 1e3, 1),
                     "failed": failed,
                 }  # fmt: skip
+                rows.append(row)
                 if options.json:
                     print(json.dumps(row))
                 else:
@@ -179,5 +196,8 @@ def main() -> None:
                     )
 
 
+    return 0 if all([_verdict(row) for row in rows if row["driver"] == "own"]) else 1
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
