@@ -27,6 +27,8 @@ _STEPS = 3
 """Gauss-Newton steps a look."""
 _BELIEVED = 6.0
 """Strays up to so many px may be the same edge."""
+_PART = 0.6
+"""Share of an outline that must be seen for its strays to tell where the rest may lie."""
 _LEAST = 0.5
 """Smallest distance, px, of a side from the centre."""
 _RIDGE = np.eye(PARAMETERS) * 1e-9
@@ -122,6 +124,7 @@ def refine_on(
     blur: float,
     *,
     restarts: int,
+    enough: float,
 ) -> list[Refined]:
     """Outlines with hidden parts, moved on by what their strays ask for: the most visible of some restarts.
 
@@ -136,11 +139,12 @@ def refine_on(
         index: See there.
         blur: See there.
         restarts: How many steps.
+        enough: Share of an outline that is enough to be seen.
     """
     best = list(found)
     latest = dict(enumerate(found))
     for _ in range(restarts):
-        latest = {i: item for i, item in latest.items() if open_sided(item)}
+        latest = {i: item for i, item in latest.items() if open_sided(item, enough)}
         rows = list(latest)
         if not rows:
             break
@@ -156,9 +160,9 @@ def refine_on(
     return best
 
 
-def open_sided(item: Refined) -> bool:
-    """Whether part of an outline was found and part of it not."""
-    return 0.6 < item.visible < 0.95
+def open_sided(item: Refined, enough: float) -> bool:
+    """Whether part of an outline was found, but less than is enough."""
+    return _PART < item.visible < enough
 
 
 def _moved(families: Sequence[Family], items: Sequence[Refined]) -> list[Floats]:

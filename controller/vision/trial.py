@@ -52,7 +52,7 @@ def tried(
         certain: Outlines found before that need no further guess.
         restarts: How often those with hidden parts may move on.
     """
-    image, noise, maps = scene.image, scene.noise, scene.maps
+    image, noise, maps, settings = scene.image, scene.noise, scene.maps, scene.settings
     families, index = [h.family for h in wanted], [h.region for h in wanted]
     refined = refine(image, noise, families, [h.q for h in wanted], maps, index, blur)
     judged = _judged(scene, wanted, refined)
@@ -60,7 +60,7 @@ def tried(
     certain = [*certain, *(item for item in judged if item is not None and whole(item))]
     rows = []
     for i, (h, item) in enumerate(zip(wanted, refined, strict=True)):
-        if item is not None and open_sided(item):
+        if item is not None and item.levels >= settings.minimum_contrast and open_sided(item, settings.visible):
             x, y = maps.to_pixels(h.region, item.q[None, :2])[0].tolist()
             if not lies_on(x, y, float(area(h.family, item.q[None])[0]), certain):
                 rows.append(i)
@@ -68,7 +68,8 @@ def tried(
         again = [wanted[i] for i in rows]
         start = [item for i in rows if (item := refined[i]) is not None]
         better = refine_on(
-            image, noise, [families[i] for i in rows], start, maps, [index[i] for i in rows], blur, restarts=restarts
+            image, noise, [families[i] for i in rows], start, maps, [index[i] for i in rows], blur,
+            restarts=restarts, enough=settings.visible,
         )
         for i, last in zip(rows, _judged(scene, again, better), strict=True):
             judged[i] = last
