@@ -201,15 +201,16 @@ def fit(evidence: Evidence, batch: Batch, steps: int) -> State:
         asked[:, :-1] = turned @ (around * _dot(slope, target))[..., None]
         asked[:, -1, 0] = (-around * _dot(bent, target)).sum(axis=1)
         normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
-        change = np.nan_to_num(np.linalg.solve(normal, asked)[..., 0])
-        change[:, :PARAMETERS] = np.clip(change[:, :PARAMETERS], -1.5, 1.5)
-        swing = np.clip(change[:, PARAMETERS], -0.4 * batch.blur, 0.6 * batch.blur)
+        change = np.linalg.solve(normal, asked)[..., 0]
+        np.copyto(change, 0.0, where=~np.isfinite(change))
+        move, swing = np.clip(change[:, :PARAMETERS], -1.5, 1.5), change[:, PARAMETERS]
+        swing = np.minimum(np.maximum(swing, -0.4 * batch.blur), 0.6 * batch.blur)
         settled = bool((np.abs(swing) < _SETTLED * batch.blur).all())
-        batch.q += change[:, :PARAMETERS]
+        batch.q += move
         batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
         if step > 0 and settled:
             # So small a step changes the distances by their derivatives, and nothing else.
-            shift = (jacobian @ change[:, :PARAMETERS, None])[..., 0]
+            shift = (jacobian @ move[..., None])[..., 0]
             if float(np.abs(shift).max()) < _SETTLED:
                 break
     stray, information = _strays(evidence, evidence.weight, around, unlit, bell)
@@ -280,7 +281,7 @@ def _agreement(stray: Floats, information: Floats, together: Rows) -> Floats:
     """
     # Raised by more than any stray from group to group, all groups of a row are sorted at once.
     group = _CHUNK // together[:, None]
-    raised = np.clip(np.nan_to_num(stray), -_FAR, _FAR) + 4.0 * _FAR * group
+    raised = np.fmin(np.fmax(stray, -_FAR), _FAR) + 4.0 * _FAR * group
     ordered = np.sort(raised, axis=1)
     first, rows = group * together[:, None], np.arange(len(stray))[:, None]
     low, high = first + ((together - 1) // 2)[:, None], first + (together // 2)[:, None]

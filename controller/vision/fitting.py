@@ -120,8 +120,8 @@ def fit_all(
     half = edges.coarser().some(region)
     q = _fit(kind, q, half, factor, rough)
     cost, _, size = (values.reshape(len(KINDS), count) for values in _quality(kind, q, half, factor))
-    place = np.argsort(np.argsort(np.nan_to_num(cost, nan=np.inf), axis=0, kind="stable"), axis=0)
-    tiny = np.nan_to_num(size).min(axis=0) < _TINY * factor
+    place = np.argsort(np.argsort(np.where(np.isnan(cost), np.inf, cost), axis=0, kind="stable"), axis=0)
+    tiny = np.fmin.reduce(size, axis=0) < _TINY * factor
     rows = np.flatnonzero(((place < 2) | tiny).ravel())
     rows = rows[np.isfinite(q[rows]).all(axis=1)]
     kind, region = kind[rows], region[rows]
@@ -209,8 +209,8 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
             distance, strength, jacobian = model(kind[rows], q[rows], near, True)
             ratio = np.minimum(np.abs(distance) / width[rows, None].astype(np.float32), 1.0)
             w = strength * (1.0 - ratio * ratio) ** 2
-            weighted = (jacobian * w[..., None]).transpose(0, 2, 1).astype(np.float64)
-            normal = weighted @ jacobian
+            weighted = (jacobian * w[..., None]).transpose(0, 2, 1)
+            normal = (weighted @ jacobian).astype(np.float64)
             normal += _RIDGE * (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-4)
             change[rows] = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
         q -= np.minimum(np.maximum(change, -limit), limit)

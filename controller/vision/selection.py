@@ -75,6 +75,7 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         return max(item.badness, 0.6) + 2.0 * (1.0 - item.refined.visible)
 
     chosen: list[int] = []
+    taken: set[int] = set()
     for i in sorted(np.flatnonzero(stays).tolist(), key=lambda i: (rank(good[i]), -good[i].area)):
         item, best = good[i], i
         if scene.sides:
@@ -86,8 +87,9 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
                 and shared(item, good[j]) > 0.9
             ]
             best = min(inner, key=lambda j: rank(good[j]), default=i)
-        if best not in chosen and not any(j in meets[best] and shared(good[best], good[j]) > 0.15 for j in chosen):
+        if best not in taken and not any(j in taken and shared(good[best], good[j]) > 0.15 for j in meets[best]):
             chosen.append(best)
+            taken.add(best)
     accepted = [good[i] for i in chosen]
     if scene.sides:
         return _without_shadows(scene, accepted)

@@ -16,6 +16,7 @@ from controller.vision.local_map import LocalMaps
 from controller.vision.padded import KINDS, ROUND, areas
 from controller.vision.proposals import Contour
 from controller.vision.refine import Refined, open_sided, refine, refine_on
+from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, all_sampled, boxes, whole
 from controller.vision.shapes import CIRCLE, area, vertices
 from controller.vision.silhouette import feet
@@ -133,7 +134,7 @@ def _outlines(maps: LocalMaps, batch: Batch) -> list[Floats]:
 def typical_blur(judged: Sequence[Judged], otherwise: float) -> float:
     """Median blur of the outlines that fit, px."""
     good = [item.refined.blur for item in judged if item.badness < 1.0]
-    return float(np.median(good)) if good else otherwise
+    return float(median(np.array(good), 0)) if good else otherwise
 
 
 def _width(outline: Floats) -> float:
