@@ -100,7 +100,7 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
 
 def _shadow_strip(scene: Scene, item: Judged, accepted: list[Judged], blur: float) -> bool:
     """Whether an outline is a strip of shadow along a larger object: the table's colour, darker, and softer."""
-    if item.refined.blur < 1.12 * blur or not _shadow_like(scene, item):
+    if item.refined.blur < 1.12 * blur or not _shadow_like(scene, [item], 0.85)[0]:
         return False
     points = [(float(x), float(y)) for x, y in item.rim]
     larger = [other.outline.astype(np.float32) for other in accepted if other.area > item.area]
@@ -245,19 +245,16 @@ def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:
     return np.asarray(median(np.sqrt(np.vecdot(difference, difference)), 1) < _TABLE)
 
 
-def _shadow_like(scene: Scene, item: Judged, share: float = 0.85) -> bool:
-    """Whether the inside of an outline, shrunk to a share, is the table's colour, only darker."""
-    return bool(_shaded(scene, np.median(scene.strengths(item.rim, share), axis=0)[None])[0])
+def _shadow_like(scene: Scene, items: Sequence[Judged], share: float) -> NDArray[np.bool_]:
+    """Whether the insides of outlines (K,), shrunk to a share, are the table's colour, only darker."""
+    return _shaded(scene, median(scene.strengths(rims(items), share), 1))
 
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
     # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
-    holes = has_hole(scene, rims(accepted)).tolist()
-    dim = [
-        hole or _shadow_like(scene, item) or _shadow_like(scene, item, 0.4)
-        for item, hole in zip(accepted, holes, strict=True)
-    ]
+    holes = has_hole(scene, rims(accepted))
+    dim = (holes | _shadow_like(scene, accepted, 0.85) | _shadow_like(scene, accepted, 0.4)).tolist()
     if scene.plane is None or not any(dim):
         return accepted
     upright = [item.outline for item, shadow in zip(accepted, dim, strict=True) if not shadow]
