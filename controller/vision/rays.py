@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -18,19 +19,23 @@ SAMPLES = 28
 CHOICES = 3
 
 
-def radial_profile(contour: Floats32, center: Floats) -> Floats:
-    """Radius (RAYS,) of the contour's hull seen from a point inside, at equal angles."""
-    hull = cv2.convexHull(contour)[:, 0].astype(np.float64) - center
-    nxt = np.concatenate([hull[1:], hull[:1]])
-    edge = nxt - hull
+def radial_profiles(contours: Sequence[Floats32], centers: Floats) -> Floats:
+    """Radii (K, RAYS) of K contours' hulls seen from a point (K, 2) inside each, at equal angles."""
+    hulls = [cv2.convexHull(contour)[:, 0] for contour in contours]
+    count = np.array([len(hull) for hull in hulls])
+    ends = np.cumsum(count)
+    hull = np.concatenate(hulls).astype(np.float64) - np.repeat(centers, count, axis=0)
+    after = np.arange(1, len(hull) + 1)
+    after[ends - 1] = ends - count
+    edge = hull[after] - hull
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    reach = np.sum(normal * hull, axis=1)
+    reach = np.vecdot(normal, hull)
     normal = np.where(reach[:, None] < 0.0, -normal, normal)
     reach = np.abs(reach)
     along = normal @ DIRECTIONS.T
     with np.errstate(divide="ignore", invalid="ignore"):
         hit = np.where(along > 1e-9, reach[:, None] / along, np.inf)
-    return np.asarray(hit.min(axis=0))
+    return np.asarray(np.minimum.reduceat(hit, ends - count, axis=0))
 
 
 _TURNS = np.arange(RAYS) * 2.0 * math.pi / RAYS

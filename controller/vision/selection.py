@@ -252,10 +252,12 @@ def _shadow_like(scene: Scene, items: Sequence[Judged], share: float) -> NDArray
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:
     """Outlines that are not the rest of a shadow beside the upright part that casts it."""
+    if scene.plane is None or not accepted:
+        return accepted
     # A patch of table between parts has the table's colour in its middle, and shadow or side faces around.
     holes = has_hole(scene, rims(accepted))
     dim = (holes | _shadow_like(scene, accepted, 0.85) | _shadow_like(scene, accepted, 0.4)).tolist()
-    if scene.plane is None or not any(dim):
+    if not any(dim):
         return accepted
     upright = [item.outline for item, shadow in zip(accepted, dim, strict=True) if not shadow]
     casters = [hull.astype(np.float32) for hull in reaches(upright, scene.plane)]

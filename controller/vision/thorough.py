@@ -19,7 +19,7 @@ from controller.vision.fitting import Hypothesis, edges_of, fit_all
 from controller.vision.local_map import LocalMaps, joined, local_maps
 from controller.vision.profiles import bilinear
 from controller.vision.proposals import FAINT, Region, split_necks
-from controller.vision.rays import DIRECTIONS, find_edges, radial_profile
+from controller.vision.rays import DIRECTIONS, find_edges, radial_profiles
 from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import feet
@@ -103,7 +103,7 @@ def _fits(
     """The regions that can be measured, their local coordinates, and the fits around each."""
     white, factor, plane = scene.white, scene.factor, scene.plane
     centers = np.array([_center(item.contour) for item in regions])
-    radii = np.stack([radial_profile(item.contour, c) for item, c in zip(regions, centers, strict=True)])
+    radii = radial_profiles([item.contour for item in regions], centers)
     usable = np.asarray(np.isfinite(radii).all(axis=1))
     if plane is not None:
         # Beyond the horizon of the plane there is nothing to measure.
