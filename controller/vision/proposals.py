@@ -31,6 +31,8 @@ _ZONE = 3.0
 """Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
 _EDGE, _FAINT_EDGE = 3.5, 2.5
 """Edge energy, over its median, of clear edges, and of faint ones, looked for at half the size."""
+_FAINT_SIZE = 6.0
+"""Hulls of faint edges of less than so many times the smallest area are noise: it makes them up to 5 times as large."""
 FAINT = 2.0
 """Faint edges are looked for around what reaches no more than so many times the level of a proposal."""
 _EDGE_HALF_WIDTH = 1.8
@@ -134,7 +136,7 @@ def _faint_edges(white: Whitened, smallest: float, unknown: Unknown, visible: Ma
     def beyond(contours: Sequence[Contour]) -> list[Contour]:
         return [contour // 2 for contour in unknown([2 * contour for contour in contours])]
 
-    found = _edge_regions(mask, smallest / 4.0, "faint", beyond)
+    found = _edge_regions(mask, _FAINT_SIZE * smallest / 4.0, "faint", beyond)
     return [replace(item, contour=2.0 * item.contour + 0.5, area=4.0 * item.area) for item in found]
 
 
