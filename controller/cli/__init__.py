@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -12,7 +13,18 @@ from controller.errors import SorterError
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the program and exit with the contract's code."""
+    use_one_thread()
     sys.exit(execute(arguments))
+
+
+def use_one_thread() -> None:
+    """Linear algebra in this process and those it starts uses one thread, unless the environment says otherwise.
+
+    To be called before numpy is imported, which is when the variables are read. Helper threads gain nothing on matrices
+    as small as ours: they spin between two products, and what they take is missed by the other processes of a cell.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def execute(arguments: Sequence[str] | None = None) -> int:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -29,8 +27,6 @@ from controller.insight import evaluation_report
 from controller.insight.evaluation import summary
 from controller.insight.trial import Record, Trial
 from controller.service.session import RunOptions, Session
-
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,10 +188,7 @@ def sorted_tables(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
         return
     # Fresh processes: a forked one would inherit the threads' locks of this one.
     context = multiprocessing.get_context("spawn")
-    with (
-        _single_threaded(),
-        ProcessPoolExecutor(processes, context, initializer=cv2.setNumThreads, initargs=(1,)) as pool,
-    ):
+    with ProcessPoolExecutor(processes, context, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
         waiting = [pool.submit(sort_one, job) for job in jobs]
         try:
             for done in as_completed(waiting):
@@ -203,21 +196,6 @@ def sorted_tables(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes started meanwhile use one thread each for linear algebra: there is one of them for every core."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _figures_of(path: Path) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """What colour, texture and taught classes add to a frame of twenty parts, on one core.
 
-    OPENBLAS_NUM_THREADS=1 python -m tests.benchmarks.appearance_speed
+    python -m tests.benchmarks.appearance_speed
 
-The processor time of all threads counts: without that variable numpy's idle helper threads spin, and double it.
+The processor time of all threads counts, and linear algebra has one thread as in the product.
 Ten kinds are taught by twelve views each, as in the study of teaching. Then frames of 1280 x 720 with twenty parts each
 are looked at again and again: mixed kinds, prints only, kinds with holes only, and textured parts. Detection is done
 before and not counted. Exit code 1 when the median of a frame takes more than the 5 ms that are wanted.

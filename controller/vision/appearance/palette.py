@@ -16,16 +16,16 @@ from controller.vision.appearance.oklab import oklab_of
 
 PALETTE: Mapping[str, tuple[str, ...]] = {
     "red": ("c41e23", "961419", "e63c32", "6e0a0f", "dc4b41", "f0745f", "ff0000"),
-    "orange": ("eb7814", "fa9632", "d75f19", "ff6a00", "eba57d"),
+    "orange": ("eb7814", "fa9632", "d75f19", "ff6a00", "ff4000", "eba57d"),
     "yellow": ("f0cd28", "d2b41e", "fae66e", "ffc846", "ffff00"),
     "green": ("329646", "1e6428", "5ac85a", "8cc83c", "00e646", "1e6e5f", "6b7a2c", "a8d8a0", "1f4e50"),
     "cyan": ("00bec8", "46d2dc", "1496a5", "8ce1e6", "00ffff"),
     "blue": ("1e46be", "2868be", "141e6e", "3c8ceb", "78aae6", "0000ff", "0a2a50", "4682b4"),
     "purple": ("783296", "551e6e", "a05abe", "7a3a92", "b496d7", "6a3ab0"),
-    "pink": ("f082aa", "fab4c8", "e65096", "e16e8c", "f5a0c8"),
+    "pink": ("f082aa", "fab4c8", "e65096", "e16e8c", "f5a0c8", "b42864"),
     "brown": ("6e4123", "8c5a32", "4b2d19", "643220", "7a3c1e", "96693f", "32161a"),
-    "black": ("101010", "262628", "1c1c20"),
-    "gray": ("4b4b4b", "6e6e6e", "8c8c8c", "aaaaaa", "c0c0c0"),
+    "black": ("101010", "262628", "1c1c20", "3a3a3a"),
+    "gray": ("5a5a5a", "6e6e6e", "8c8c8c", "aaaaaa", "c0c0c0"),
     "white": ("e4e4e4", "f5f5f5", "ffffff"),
 }
 

@@ -14,7 +14,7 @@ from controller.domain import Frame
 from controller.errors import ConfigError, InputError
 from controller.vision.appearance import palette
 from controller.vision.appearance.colour import Colour, measure
-from controller.vision.appearance.oklab import oklab_of
+from controller.vision.appearance.oklab import oklab, oklab_of
 from controller.vision.appearance.settings import Appearance
 from controller.vision.appearance.tiles import tiles
 from controller.vision.detect import detect
@@ -119,3 +119,9 @@ def test_glossy_drops_are_named(shared: Path, name: str) -> None:
         # Drops seen from the side: a centre is good to a third of a drop.
         near = min(found, key=lambda item: math.dist(item.center_px, thing["centre_px"]))
         assert near.colour == thing["colour"]
+
+
+def test_black_ends_where_a_sixteenth_of_the_light_comes_back() -> None:
+    # Black plastic and card give back 4 to 6 %, dark gray paint from 8 % on.
+    for share, name in ((0.04, "black"), (0.055, "black"), (0.08, "gray")):
+        assert palette.name_of(oklab(np.full(3, share, np.float32)))[0] == name
