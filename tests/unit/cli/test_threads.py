@@ -12,8 +12,8 @@ _ASKED = "import controller.cli, os, sys; early = 'numpy' in sys.modules; contro
 def _said(**environment: str) -> str:
     known = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     told = "print(early, os.environ['OPENBLAS_NUM_THREADS'])"
-    done = subprocess.run([sys.executable, "-c", _ASKED + told], env=known | environment, capture_output=True, check=True)
-    return done.stdout.decode().strip()
+    command = [sys.executable, "-c", _ASKED + told]
+    return subprocess.check_output(command, env=known | environment, text=True).strip()
 
 
 def test_one_thread_is_asked_for_before_numpy_is_imported_and_a_user_may_ask_for_more() -> None:
