@@ -95,17 +95,27 @@ def find_views(
             seen.append((name, board.find(image)))
         except BoardNotFound as error:
             rejected.append((name, error.cause))
-    if not seen and board.kind is BoardKind.CHESSBOARD:
-        # A wrong SPEC is the likeliest reason: say what is there instead.
-        for index, (name, image) in enumerate(images[:_LOOKED_AT]):
-            gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-            _, cells = grid.find(gray)
-            extent = np.ptp(cells, axis=0).astype(int) + 1 if len(cells) else np.zeros(2, int)
-            if len(cells) >= _LEAST_SEEN and len(cells) == int(extent.prod()):
-                inner = f"{max(extent)}x{min(extent)}"
-                rejected[index] = name, f"no {board.columns}x{board.rows} inner corners seen, but {inner}"
-                break
+    if board.kind is BoardKind.CHESSBOARD:
+        # A larger board holds every smaller one: a wrong SPEC is found, or nothing is; say what is there instead.
+        own = max(board.columns, board.rows), min(board.columns, board.rows)
+        whole = {name: _whole_grid(image) for name, image in images[:_LOOKED_AT]}
+        others = {name: size for name, size in whole.items() if size is not None and size != own}
+        larger = all(size is not None and sum(size) > sum(own) for size in whole.values())
+        if others and (larger or not seen):
+            reasons = dict(rejected) | {name: f"{board.spec} is only a part of its board" for name, _ in seen}
+            wanted = f"no {board.columns}x{board.rows} inner corners seen"
+            return [], [*(reasons | {name: f"{wanted}, but {a}x{b}" for name, (a, b) in others.items()}).items()]
     return seen, rejected
+
+
+def _whole_grid(image: Image) -> tuple[int, int] | None:
+    """Inner corners (more, fewer) of a chessboard that is seen whole."""
+    gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    _, cells = grid.find(gray)
+    extent = np.ptp(cells, axis=0).astype(int) + 1 if len(cells) else np.zeros(2, int)
+    if len(cells) < _LEAST_SEEN or len(cells) != int(extent.prod()):
+        return None
+    return int(extent.max()), int(extent.min())
 
 
 def fit_views(

@@ -68,6 +68,9 @@ def test_four_views_that_do_not_pin_the_focal_length_are_refused(shared: Path) -
 def test_the_wrong_board_is_said(shared: Path) -> None:
     with pytest.raises(CalibrationPoorFit, match="chessboard:7x5:25"):
         calibrate_camera(load(shared, "boofcv_bumblebee_chess/*.jpg")[:4], parse_board("chessboard:7x5:25"))
+    # A board of 9x6 corners has every smaller one in it.
+    with pytest.raises(CalibrationPoorFit, match="no 8x6 inner corners seen, but 9x6"):
+        calibrate_camera(load(shared, "opencv_stereo_chess/left*.jpg")[:4], parse_board("chessboard:8x6:25"))
 
 
 def test_a_robot_that_carries_the_board_is_seen_where_it_says(shared: Path) -> None:
