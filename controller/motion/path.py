@@ -19,10 +19,11 @@ from controller.errors import Unreachable
 from controller.motion.kinematics import branches, chain, points, solutions
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import BSpline
 
 # Knots every 12 ms of full speed: the spline between them leaves a vertical stroke by less than 1 um.
 KNOT_SPACING = 0.012
+_CUBIC = 4  # knots that a cubic spline needs
 _STROKE_STEP = 5.0  # mm between the points of a straight line that are checked against the reach
 _DIFFERENCE = 1e-4  # share of a stroke
 
@@ -72,7 +73,7 @@ class Path:
         marks: Phases where the legs begin and end, the roundings between them: 2 a leg.
     """
 
-    spline: CubicSpline
+    spline: BSpline
     length: float
     marks: tuple[float, ...]
 
@@ -193,23 +194,25 @@ def join(arm: ArmDescription, legs: Sequence[Leg], corners: Sequence[tuple[float
 
     for k, leg in enumerate(legs):
         low, high = cuts[k]
-        count = max(int(leg.length * (high - low) / KNOT_SPACING) + 2, 3)
+        count = max(int(leg.length * (high - low) / KNOT_SPACING) + 2, _CUBIC)
         marks.append(total_count)
         add(leg.curve(np.linspace(low, high, count)))
         marks.append(total_count - 1)
         if k + 1 < len(legs):
             add(_corner(leg, high, legs[k + 1], cuts[k + 1, 0], speeds))
     # Half a second to load: for those who plan, not for every command.
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import make_interp_spline
 
     q = np.concatenate(samples)
     steps = np.linalg.norm(np.diff(q, axis=0) / speeds, axis=1)
     phase = np.concatenate([[0.0], np.cumsum(steps)])
     keep = np.concatenate([[True], steps > 1e-9])  # legs of no length repeat a knot
-    if keep.sum() < 2:
-        q, phase, keep = np.repeat(q[:1], 4, axis=0), np.arange(4) * 1e-6, np.ones(4, bool)
-        return Path(CubicSpline(phase, q), float(phase[-1]), (0.0, float(phase[-1])))
-    return Path(CubicSpline(phase[keep], q[keep]), float(phase[-1]), tuple(float(phase[m]) for m in marks))
+    if keep.sum() < _CUBIC:
+        still = np.arange(_CUBIC) * 1e-6
+        spline = make_interp_spline(still, np.repeat(q[:1], _CUBIC, axis=0))
+        return Path(spline, float(still[-1]), (0.0, float(still[-1])))
+    spline = make_interp_spline(phase[keep], q[keep], check_finite=False)
+    return Path(spline, float(phase[-1]), tuple(float(phase[m]) for m in marks))
 
 
 def _corner(first: Leg, at: float, second: Leg, then: float, speeds: Array) -> Array:
