@@ -301,6 +301,12 @@ def roll_for(arm: ArmDescription, azimuth: float, direction: float) -> tuple[flo
 
 
 def closing_direction(q: ArrayLike) -> float:
-    """Direction of the tool's y axis about z of `base`, rad in (-pi, pi]; the jaws close along it both ways."""
-    axis = rotation(q)[:, 1]
-    return math.atan2(axis[1], axis[0])
+    """Direction of the tool's y axis about z of `base`, rad in (-pi, pi]; the jaws close along it both ways.
+
+    That of `rotation`, for one posture (J,) and in plain arithmetic.
+    """
+    waist, shoulder, elbow, wrist, *rest = np.asarray(q, np.float64).tolist()
+    roll = rest[0] if rest else 0.0
+    across, along = math.cos(roll), math.sin(shoulder + elbow + wrist) * math.sin(roll)
+    c, s = math.cos(waist), math.sin(waist)
+    return math.atan2(s * along + c * across, c * along - s * across)
