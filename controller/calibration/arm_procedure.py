@@ -12,10 +12,10 @@ from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_poses import choose
 from controller.calibration.arm_touch import Touch
 from controller.calibration.camera import CameraCalibration
+from controller.calibration.looks import visit
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
-from controller.errors import PlanError
 from controller.ports import Arm, Camera, Clock
 
 #: Time a pose is given to come to rest, s.
@@ -69,13 +69,7 @@ def calibrate_arm(
     start = np.asarray(arm.state().positions)
     wanted = choose(view, poses, clearance=clearance, seed=seed, start=start)
     seen: list[Observation] = []
-    for index, pose in enumerate(wanted, 1):
-        progress(f"pose {index} of {len(wanted)}")
-        try:
-            move_to(pose)
-        except PlanError as error:
-            progress(f"pose {index} left out: {error.cause}")
-            continue
+    for _ in visit(wanted, "pose", move_to, progress):
         clock.sleep(SETTLE)
         found = view.marker.find(camera.capture(clock.now()).image, lens.camera)
         if found is not None:

@@ -17,11 +17,11 @@ from controller.calibration import files
 from controller.calibration.arm import ArmCalibration, Residual
 from controller.calibration.arm_model import PRIOR_JAWS, PRIOR_OFFSET, MarkerView, Unknowns, has_roll
 from controller.calibration.camera import CameraCalibration
-from controller.calibration.looks import seen_beside, spread_places
+from controller.calibration.looks import seen_beside, spread_places, visit
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
-from controller.errors import CalibrationPoorFit, CalibrationStale, PlanError
+from controller.errors import CalibrationPoorFit, CalibrationStale
 from controller.geometry import invert
 from controller.ports import Arm, Camera, Clock
 
@@ -151,13 +151,7 @@ def check_arm(
     ruler = Unknowns(invert(T_base_table), calibration.T_tool_marker, aligned)
     offsets = np.array([calibration.joint_offsets.get(name, 0.0) for name in description.joint_names])
     places, errors, moved, before = [], [], [], []
-    for index, q in enumerate(wanted, 1):
-        progress(f"place {index} of {len(wanted)}")
-        try:
-            move_to(q)
-        except PlanError as error:
-            progress(f"place {index} left out: {error.cause}")
-            continue
+    for q in visit(wanted, "place", move_to, progress):
         first = seen_beside(camera, clock, view, straight, q)
         settle()
         beside = seen_beside(camera, clock, view, straight, q)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from controller.calibration.arm import ArmCalibration, named
 from controller.calibration.arm_model import MarkerView, Unknowns
 from controller.calibration.arm_poses import order
-from controller.calibration.looks import seen_beside, spread_places
+from controller.calibration.looks import seen_beside, spread_places, visit
 from controller.calibration.map_record import MapRecord
 from controller.domain import ErrorMap
-from controller.errors import PlanError, Unreachable
+from controller.errors import Unreachable
 from controller.geometry import invert
 from controller.ports import Arm, Camera, Clock
 
@@ -124,13 +124,7 @@ def look_around(
     offsets = np.array([made.joint_offsets.get(name, 0.0) for name in arm.description.joint_names])
     begin = np.asarray(arm.state().positions) - offsets
     places, errors = [], []
-    for index, q in enumerate(order(view, np.array(wanted), begin, clearance), 1):
-        progress(f"look {index} of {len(wanted)}")
-        try:
-            move_to(q)
-        except PlanError as error:
-            progress(f"look {index} left out: {error.cause}")
-            continue
+    for q in visit(order(view, np.array(wanted), begin, clearance), "look", move_to, progress):
         settle()
         beside = seen_beside(camera, clock, view, straight, q)
         if beside is not None:

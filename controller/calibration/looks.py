@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from controller.calibration.arm_model import MarkerView, Unknowns
 from controller.calibration.arm_poses import lowest, visible
 from controller.domain import Point
-from controller.errors import Unreachable
+from controller.errors import PlanError, Unreachable
 from controller.motion import kinematics
 from controller.ports import Camera, Clock
 
@@ -81,6 +81,27 @@ def spread_places(
             f"only {len(out)} of {count} places can be reached and seen", "check the work area and the camera's view"
         )
     return out
+
+
+def visit(
+    poses: Sequence[Array], what: str, move_to: Callable[[Array], None], progress: Callable[[str], None]
+) -> Iterator[Array]:
+    """Stand at one pose after the other; yields each that could be reached, while the arm stands there.
+
+    Args:
+        poses: Joint angles (J,) each, rad.
+        what: A pose is called in the lines for people.
+        move_to: Brings the joints to wanted angles; a PlanError leaves the pose out.
+        progress: Called with one line before each move.
+    """
+    for index, q in enumerate(poses, 1):
+        progress(f"{what} {index} of {len(poses)}")
+        try:
+            move_to(q)
+        except PlanError as error:
+            progress(f"{what} {index} left out: {error.cause}")
+            continue
+        yield q
 
 
 def seen_beside(camera: Camera, clock: Clock, view: MarkerView, unknowns: Unknowns, q: Array) -> Array | None:
