@@ -7,12 +7,10 @@ from the middle of the encoder (tick 2048), in Nm and V as physics has it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
-@dataclass(frozen=True, slots=True)
-class Shaft:
+class Shaft(NamedTuple):
     """What an encoder could see.
 
     Attributes:
@@ -26,8 +24,7 @@ class Shaft:
     torque: float
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(NamedTuple):
     """What the servo's controller does to its motor until told otherwise.
 
     torque = clip(stiffness * (target - angle) + bias, -limit, limit) - damping * velocity

