@@ -78,7 +78,8 @@ def main() -> int:
             for grip in GRIPS:
                 refusal = take(asked.shape, grip, turn, friction)
                 tried, held = tried + 1, held + (refusal is None)
-                print(f"{asked.shape} of {grip:g} mm, {turn:g} deg, friction {friction:g}: {refusal or 'held'}", flush=True)
+                what = f"{asked.shape} of {grip:g} mm, {turn:g} deg, friction {friction:g}"
+                print(f"{what}: {refusal or 'held'}", flush=True)
     print(f"{'met' if held == tried else 'MISSED'}: {held} of {tried} came to their bin")
     return 0 if held == tried else 1
 
