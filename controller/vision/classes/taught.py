@@ -23,7 +23,9 @@ GOOD_VIEWS = 5
 _JUMP = 5.0
 """A gap this wide, in units of noise, between two groups of views ..."""
 _JUMP_RATIO = 3.0
-"""... and this many times wider than usual within, makes two faces of them."""
+"""... and this many times wider than usual within, makes two faces of them ..."""
+_WIDE = 10.0
+"""... and one this wide always does: views of one face lie 1 to 4 apart, kinds of fasteners 7 to 20."""
 _EXTRAS = 0.25
 """Share of the views that may be other things lying beside the part."""
 _SAME = 0.7
@@ -229,7 +231,7 @@ def _groups(views: NDArray[np.float32]) -> NDArray[np.intp]:
     """Which group each view (n, D) belongs to: groups are joined by single steps that are not unusually wide."""
     apart = np.linalg.norm(views[:, None] - views[None], axis=2)
     nearest = (apart + np.where(np.eye(len(views)) > 0, np.inf, 0.0)).min(axis=1)
-    limit = max(_JUMP, _JUMP_RATIO * float(np.median(nearest)))
+    limit = min(max(_JUMP, _JUMP_RATIO * float(np.median(nearest))), _WIDE)
     group = np.full(len(views), -1, np.intp)
     count = 0
     for start in range(len(views)):

@@ -91,6 +91,8 @@ def test_a_class_must_be_one_thing_and_a_new_one(shown: dict[str, Floats32]) -> 
     with pytest.raises(InputError, match="2 different things"):
         admit(_class("both", np.concatenate([shown["ring"][:3], shown["cross"][:3]])), ())
     admit(_class("both", np.concatenate([shown["ring"][:3], shown["cross"][:3]])), (), faces=2)
+    with pytest.raises(InputError, match="3 different things"):
+        admit(_class("all sorts", np.concatenate([shown["ring"][:2], shown["star"][:1], shown["L"][:1]])), ())
     with pytest.raises(InputError, match="are the least"):
         admit(_class("few", shown["ring"][:2]), ())
     with pytest.raises(InputError, match="look like 'ring'"):
