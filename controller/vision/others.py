@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -30,6 +31,23 @@ _SEEN = 0.85
 """Share of the outline that must be seen as a sharp edge."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Other:
+    """An object of no known shape.
+
+    Attributes:
+        outline: ndarray of shape (N, 2), px.
+        score: Confidence in [0, 1].
+        levels: Contrast, levels.
+        pieces: Which known outlines are only pieces of it.
+    """
+
+    outline: Floats
+    score: float
+    levels: float
+    pieces: frozenset[int]
+
+
 def other_objects(
     image: NDArray[np.uint8],
     noise: Floats,
@@ -43,8 +61,8 @@ def other_objects(
     *,
     whole: Sequence[int],
     strength: Callable[[Floats], Floats] | None,
-) -> tuple[list[tuple[Floats, float, float]], set[int]]:
-    """Outlines (N, 2), px, scores and contrasts (levels) of objects that no known outline explains.
+) -> list[Other]:
+    """Objects that no known outline explains.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8.
@@ -59,9 +77,6 @@ def other_objects(
         whole: Which of `known` are certainly no pieces: what sticks out beside them is a shadow or a side face,
             unless it is as strong as they are.
         strength: How far the picture differs from the table at points (N, 2), px; None where side faces show.
-
-    Returns:
-        The objects, and which of `known` are only pieces of them.
     """
     candidates = [
         (item.contour.astype(np.float64) * factor + (factor - 1) / 2.0, item.core)
@@ -69,7 +84,7 @@ def other_objects(
         if item.cue in ("level", "chroma") and item.area * factor**2 >= 0.5 * smallest**2
     ]
     if not candidates:
-        return [], set()
+        return []
     middles = np.array([outline.mean(axis=0) for outline in known]).reshape(-1, 2)
     low, high = np.hsplit(boxes(known), 2)
     areas = [abs(float(cv2.contourArea(outline.astype(np.float32)))) for outline in known]
@@ -95,10 +110,9 @@ def other_objects(
             continue
         kept.append((contour, set(inside), rest))
     if not kept:
-        return [], set()
+        return []
     outlines, seen, sharp, levels = _on_edges(image, noise, [contour for contour, _, _ in kept], blur, minimum_contrast)
-    chosen: list[tuple[Floats, float, float]] = []
-    merged: set[int] = set()
+    chosen: list[Other] = []
     order = sorted(zip(outlines, seen, sharp, kept, levels, strict=True), key=lambda item: _place(item[0], item[2]))
     for outline, edge, strict, (contour, pieces, rest), contrast in order:
         polygon = outline.astype(np.float32)
@@ -121,11 +135,10 @@ def other_objects(
         if share < _SEEN or min(cv2.minAreaRect(polygon)[1]) < 0.55 * smallest or own < 0.5 * smallest**2:
             continue
         # Two cues may both propose it.
-        if any(_within(outline, o) > 0.5 or _within(o, outline) > 0.5 for o, _, _ in chosen):
+        if any(_within(outline, o) > 0.5 or _within(o, outline) > 0.5 for o in (other.outline for other in chosen)):
             continue
-        chosen.append((outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN), contrast))
-        merged |= pieces
-    return chosen, merged
+        chosen.append(Other(outline, 0.5 + 0.5 * (share - _SEEN) / (1.0 - _SEEN), contrast, frozenset(pieces)))
+    return chosen
 
 
 def _as_strong(

@@ -142,7 +142,7 @@ def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     own = float(np.median(np.sqrt(np.vecdot(rim, rim))))
     height, width = scene.image.shape[:2]
     good = strength < max(2.0 * scene.settings.level, 0.25 * own)
-    good |= _shaded(scene, difference)
+    good |= shaded(scene, difference)
     good |= (points < 0.0).any(axis=1) | (points[:, 0] > width - 1) | (points[:, 1] > height - 1)
     if good.mean() > _SURROUNDED:
         return True
@@ -169,7 +169,7 @@ def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
     around = np.where(beyond_frame[:, None], 0.0, scene.differences(points))
     faint = max(2.0 * scene.settings.level, 0.3 * float(np.median(strength)))
     beyond = np.sqrt(np.vecdot(around, around))
-    table = (beyond < faint) | (_shaded(scene, around) & (beyond < 0.5 * float(np.median(strength))))
+    table = (beyond < faint) | (shaded(scene, around) & (beyond < 0.5 * float(np.median(strength))))
     more = beyond > 0.6 * float(np.median(strength))
     return bool(filled.mean() > _FILLED and table.mean() >= least and more.mean() < _MORE)
 
@@ -199,7 +199,7 @@ def stains(accepted: Sequence[Judged], others: Sequence[tuple[float, float]]) ->
     return out
 
 
-def _shaded(scene: Scene, difference: Floats) -> NDArray[np.bool_]:
+def shaded(scene: Scene, difference: Floats) -> NDArray[np.bool_]:
     """Which whitened differences (N, 3) are the table's colour, only darker."""
     table = scene.white.whitener @ scene.white.table_colour
     length = max(float(np.linalg.norm(table)), 1e-9)
@@ -247,7 +247,7 @@ def _table_like(scene: Scene, items: Sequence[Judged]) -> NDArray[np.bool_]:
 
 def _shadow_like(scene: Scene, items: Sequence[Judged], share: float) -> NDArray[np.bool_]:
     """Whether the insides of outlines (K,), shrunk to a share, are the table's colour, only darker."""
-    return _shaded(scene, median(scene.strengths(rims(items), share), 1))
+    return shaded(scene, median(scene.strengths(rims(items), share), 1))
 
 
 def _without_shadows(scene: Scene, accepted: list[Judged]) -> list[Judged]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from controller.domain import Shape
 from controller.geometry import PlaneMap
 from controller.vision.contact import with_contacts
+from controller.vision.fallen import fallen_in
 from controller.vision.others import other_objects
 from controller.vision.robust import median
 from controller.vision.scene import Found, Judged, Scene, boxes, overlap, sampled, whole
@@ -25,24 +26,29 @@ Floats = NDArray[np.float64]
 
 def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     """The objects among the refined outlines."""
-    accepted = select(scene, judged)
+    accepted = [
+        item for item in select(scene, judged)
+        if scene.regions[item.hypothesis.region].cue == "alone" or not fallen_in(scene, item.outline)
+    ]  # fmt: skip
     holes = has_hole(scene, rims(accepted)).tolist()
     found = [_found(scene, item, hole) for item, hole in zip(accepted, holes, strict=True)]
     watch.lap("judge")
     if scene.settings.others:
         blur = float(median(np.array([item.refined.blur for item in accepted]), 0)) if accepted else 0.0
         hidden = [i for i, item in enumerate(accepted) if _merged(item)]
-        others, merged = other_objects(
+        others = other_objects(
             scene.image, scene.noise, scene.regions, scene.factor, [item.face for item in found], hidden, blur,
             scene.settings.minimum_contrast, scene.settings.smallest_px,
             whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item) or _all_around(item)],
             strength=None if scene.sides else scene.strength,
         )  # fmt: skip
-        bigger = [(abs(float(cv2.contourArea(o.astype(np.float32)))), levels) for o, _, levels in others]
-        merged |= set() if scene.sides else stains(accepted, bigger)
+        others = [item for item in others if not fallen_in(scene, item.outline)]
+        merged = {i for item in others for i in item.pieces}
+        if not scene.sides:
+            merged |= stains(accepted, [(_area(item.outline), item.levels) for item in others])
         found = [item for i, item in enumerate(found) if i not in merged]
-        found = [item for item in found if not any(_part_of(item, outline) for outline, _, _ in others)]
-        for outline, score, _ in others:
+        found = [item for item in found if not any(_part_of(item, other.outline) for other in others)]
+        for outline, score in ((item.outline, item.score) for item in others):
             flags = _border(boxes([outline])[0].tolist(), scene.image.shape, float(scene.factor))
             disc = _worn_disc(scene, outline)
             if disc is not None:
@@ -71,6 +77,11 @@ def _worn_disc(scene: Scene, outline: Floats) -> Found | None:
     if has_hole(scene, sampled(ring)[None])[0]:
         flags |= {"hole"}
     return Found(Shape.CIRCLE, 0.5, ring, ring, center, 2.0 * radius, flags)
+
+
+def _area(outline: Floats) -> float:
+    """Area of an outline, px^2."""
+    return abs(float(cv2.contourArea(outline.astype(np.float32))))
 
 
 def _part_of(item: Found, outline: Floats) -> bool:

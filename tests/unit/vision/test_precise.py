@@ -256,3 +256,13 @@ def test_gray_parts_that_hardly_stand_out_of_a_gray_grain_are_found() -> None:
     image = paint(things, size=(640, 480), noise=0.0) + grain[:, :, None] + 3.0 * rng.standard_normal((480, 640, 3))
     seen = sorted(found(np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)), key=lambda d: d.center_px[0])
     assert [d.shape for d in seen] == [shape for shape, _ in FAINT_ROW]
+
+
+@pytest.mark.parametrize("soft", [3.0, 9.0])
+def test_a_shadow_that_falls_in_from_beyond_the_picture_is_no_part(soft: float) -> None:
+    part = at(corners(Shape.HEXAGON, 60.0, 0.2), 60.0, 190.0)
+    shade: NDArray[np.float64] = np.zeros((240, 320))
+    cv2.fillPoly(shade, [np.array([[150, 90], [320, 20], [320, 90], [170, 130]], np.int32)], (1.0,))
+    light = 1.0 - 0.4 * cv2.GaussianBlur(shade, (0, 0), soft)[:, :, None]
+    assert found(np.asarray(paint([]) * light, np.uint8)) == ()
+    assert only(np.asarray(paint([(part, DARK)]) * light, np.uint8)).shape is Shape.HEXAGON
