@@ -118,6 +118,9 @@ def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
         image = np.asarray(
             cv2.resize(image[: size[1] * factor, : size[0] * factor], size, interpolation=cv2.INTER_AREA), np.uint8
         )
+    elif min(image.shape[:2]) >= 3:
+        # No neighbours were averaged: single pixels of noise would break the regions of small frames.
+        image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
     return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, _SMOOTH, _SMOOTH), np.float32)
 
 
