@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -132,6 +132,7 @@ class Soak(Observer):
         self._yardsticks = [_yardstick()]
         self._placed, self._cpu = 0, time.process_time()
         self._latched = False
+        self._latest = deque[str](maxlen=16)
         self._operator: ControlClient | None = None
 
     def watch(self, devices: Devices) -> tuple[Observer, ...]:
@@ -154,6 +155,7 @@ class Soak(Observer):
     def concluded(self, outcome: Outcome) -> None:
         """Book it."""
         self._batch[outcome.result] += 1
+        self._told(f"{outcome.result}: {outcome.reason}")
         self.found.results[str(outcome.result)] += 1
         if outcome.result is Result.PLACED:
             self._placed += 1
@@ -162,6 +164,7 @@ class Soak(Observer):
     def held(self, cause: SorterError, at: float) -> None:
         """Count what the cell held for."""
         self.found.faults[fault_code(cause)] += 1
+        self._told(f"held: {cause}")
 
     def warned(self, code: str, cause: str, at: float) -> None:
         """Count what was warned of."""
@@ -170,6 +173,7 @@ class Soak(Observer):
     def faulted(self, error: SorterError, at: float) -> None:
         """Count what latched."""
         self.found.faults[fault_code(error)] += 1
+        self._told(f"faulted: {error}")
 
     def entered(self, state: State, at: float) -> None:
         """Look at the clock; lay the table anew when there is nothing more to do on it."""
@@ -179,7 +183,8 @@ class Soak(Observer):
         if at - self._window_at >= WINDOW:
             self._look_at_process(at)
         if at - self._supplied_at > STUCK:
-            self.found.complaints.append(f"stuck in {state.value} at {at - self._began:.0f} s")
+            latest = "; ".join(self._latest)
+            self.found.complaints.append(f"stuck in {state.value} at {at - self._began:.0f} s; before: {latest}")
             self._seconds = 0.0
         if at - self._began >= self._seconds and not self.over.is_set():
             self.over.set()
@@ -240,6 +245,9 @@ class Soak(Observer):
         self._window_at, self._cpu, self._placed = at, cpu, 0
         self._cycles.clear()
         del self._yardsticks[:-1]
+
+    def _told(self, what: str) -> None:
+        self._latest.append(f"{self._now() - self._began:.0f} s {what}")
 
     def _now(self) -> float:
         assert self.devices is not None
