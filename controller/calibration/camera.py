@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration import bundle, grid
-from controller.calibration.boards import Board, BoardKind, BoardNotFound, BoardView
+from controller.calibration import bundle
+from controller.calibration.boards import Board, BoardKind, BoardView
 from controller.calibration.lens import CameraCalibration, LensModel, camera_from_json, named
+from controller.calibration.views import find_views
 from controller.errors import CalibrationPoorFit
 from controller.geometry import PlaneMap, invert, pose_from_rvec
 
@@ -21,7 +21,6 @@ __all__ = [
     "LensModel",
     "calibrate_camera",
     "camera_from_json",
-    "find_views",
     "fit_views",
     "refine_pose",
 ]
@@ -47,8 +46,6 @@ RATIONAL_VIEWS = 40
 RATIONAL_COVERAGE = 0.9
 #: Above this RMS, px, something else than a bowed board dominates, and its terms would absorb that.
 BOW_MAX_RMS = 0.5
-#: Pictures in which another board than the named one is looked for, and corners that are one.
-_LOOKED_AT, _LEAST_SEEN = 3, 12
 _DRAWS = 48
 _CELLS = (8, 6)
 
@@ -76,46 +73,6 @@ def calibrate_camera(
     """
     seen, rejected = find_views(images, board)
     return fit_views(seen, rejected, board, model=model, consider_bow=consider_bow)
-
-
-def find_views(
-    images: Sequence[tuple[str, Image]], board: Board
-) -> tuple[list[tuple[str, BoardView]], list[tuple[str, str]]]:
-    """The board in each picture: (name, view) of those that can be used, (name, reason) of the others."""
-    seen: list[tuple[str, BoardView]] = []
-    rejected: list[tuple[str, str]] = []
-    sizes = Counter((image.shape[1], image.shape[0]) for _, image in images)
-    usual = sizes.most_common(1)[0][0] if sizes else (0, 0)
-    for name, image in images:
-        size = (image.shape[1], image.shape[0])
-        if size != usual:
-            rejected.append((name, f"{size[0]}x{size[1]} px, most pictures have {usual[0]}x{usual[1]}"))
-            continue
-        try:
-            seen.append((name, board.find(image)))
-        except BoardNotFound as error:
-            rejected.append((name, error.cause))
-    if board.kind is BoardKind.CHESSBOARD:
-        # A larger board holds every smaller one: a wrong SPEC is found, or nothing is; say what is there instead.
-        own = max(board.columns, board.rows), min(board.columns, board.rows)
-        whole = {name: _whole_grid(image) for name, image in images[:_LOOKED_AT]}
-        others = {name: size for name, size in whole.items() if size is not None and size != own}
-        larger = all(size is not None and sum(size) > sum(own) for size in whole.values())
-        if others and (larger or not seen):
-            reasons = dict(rejected) | {name: f"{board.spec} is only a part of its board" for name, _ in seen}
-            wanted = f"no {board.columns}x{board.rows} inner corners seen"
-            return [], [*(reasons | {name: f"{wanted}, but {a}x{b}" for name, (a, b) in others.items()}).items()]
-    return seen, rejected
-
-
-def _whole_grid(image: Image) -> tuple[int, int] | None:
-    """Inner corners (more, fewer) of a chessboard that is seen whole."""
-    gray = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    _, cells = grid.find(gray)
-    extent = np.ptp(cells, axis=0).astype(int) + 1 if len(cells) else np.zeros(2, int)
-    if len(cells) < _LEAST_SEEN or len(cells) != int(extent.prod()):
-        return None
-    return int(extent.max()), int(extent.min())
 
 
 def fit_views(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from controller.calibration.boards import Board, BoardKind, BoardNotFound, BoardView
 from controller.calibration.guided import NOMINAL_FIELD
 from controller.calibration.table import board_pose
+from controller.calibration.views import seen_instead
 from controller.errors import CalibrationPoorFit, InputError
 from controller.geometry import CameraModel
 
@@ -101,7 +102,9 @@ class Capture:
             view = self.board.find(image)
         except BoardNotFound as error:
             self._last = None
-            return self._progress(Seen.NOTHING, f"show the board: {error.cause}")
+            instead = seen_instead(self.board, image, False)
+            advice = "show the board" if instead is None else "show the whole board, or check its SPEC"
+            return self._progress(Seen.NOTHING, f"{advice}: {instead or error.cause}")
         steady = self._last is not None and _moved(self._last, view) < _STEADY * view.image_size[0]
         self._last = view
         normal = _normal(view)
@@ -109,6 +112,9 @@ class Capture:
             return self._progress(Seen.KNOWN, self._wish())
         if not steady:
             return self._progress(Seen.MOVING, "hold still")
+        larger = seen_instead(self.board, image, True)
+        if larger is not None:
+            return self._progress(Seen.NOTHING, f"check the board's SPEC: {larger}")
         self._take(view, normal, image)
         return self._progress(Seen.TAKEN, self._wish())
 

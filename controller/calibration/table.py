@@ -15,6 +15,7 @@ from controller.calibration import bundle, edges, files
 from controller.calibration.boards import T_TABLE_BOARD, Board, BoardKind, BoardNotFound
 from controller.calibration.camera import refine_pose
 from controller.calibration.lens import CameraCalibration
+from controller.calibration.views import seen_instead
 from controller.errors import CalibrationPoorFit, CalibrationStale, InputError
 from controller.geometry import CameraModel, PlaneMap, invert, pose_from_rvec, rvec_tvec
 from controller.vision.landmarks import find_landmarks
@@ -153,12 +154,18 @@ def calibrate_table(
         try:
             view = board.find(image)
         except BoardNotFound as error:
-            rejected.append((name, error.cause))
+            rejected.append((name, seen_instead(board, image, False) or error.cause))
             continue
         used.append((view.object_points, view.image_points, view.ids))
+    # Nothing moves between the pictures: one tells whether the board is only part of a larger one.
+    larger = next((seen_instead(board, image, True) for name, image in images if name not in dict(rejected)), None)
+    if larger is not None:
+        raise CalibrationPoorFit(f"another board is on the table: {larger}", "check the board's SPEC")
     if not used:
         why = f"{rejected[0][0]}: {rejected[0][1]}" if rejected else "no picture"
-        raise CalibrationPoorFit(f"the board is not on the table: {why}", "lay it flat, whole in view, evenly lit")
+        raise CalibrationPoorFit(
+            f"the board is not on the table: {why}", "lay it flat, whole in view, evenly lit; check its SPEC"
+        )
     points, pixels, moved = _average(used)
     if moved > 1.0:
         raise CalibrationPoorFit(

@@ -17,12 +17,13 @@ from rich.table import Table
 from controller.backends import Devices, Level
 from controller.calibration.approval import certificate_of
 from controller.calibration.boards import BoardView, parse_board
-from controller.calibration.camera import CameraCalibration, LensModel, find_views, fit_views
+from controller.calibration.camera import CameraCalibration, LensModel, fit_views
 from controller.calibration.coverage import coverage_picture
 from controller.calibration.guided import TABLE_FRAMES
 from controller.calibration.hand_eye import Carried, fit_hand_eye, read_robot_pose
 from controller.calibration.store import load, load_calibration, restore_previous
 from controller.calibration.table import calibrate_table
+from controller.calibration.views import find_views
 from controller.cli.camera import open_camera
 from controller.cli.config import default_config
 from controller.cli.interrupts import exit_code, on_interrupt

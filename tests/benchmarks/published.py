@@ -21,10 +21,11 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from controller.calibration.boards import T_TABLE_BOARD, BoardView, parse_board
-from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, find_views, fit_views
+from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, fit_views
 from controller.calibration.hand_eye import Carried, HandEye, fit_hand_eye, read_robot_pose
 from controller.calibration.marker import refine_square
 from controller.calibration.table import board_pose, calibrate_table
+from controller.calibration.views import find_views
 from controller.errors import CalibrationPoorFit
 from controller.geometry import CameraModel, PlaneMap, invert
 

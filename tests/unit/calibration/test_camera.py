@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from controller.calibration import bundle
 from controller.calibration.boards import BoardView, parse_board
-from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, find_views, fit_views
+from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, fit_views
 from controller.calibration.guided import board_pose_for, wanted_views
 from controller.calibration.table import board_pose
+from controller.calibration.views import find_views
 from controller.errors import CalibrationMissing, CalibrationPoorFit, CalibrationStale, InputError
 from controller.geometry import CameraModel, PlaneMap, invert, pose_from_rvec, transform
 from tests.unit.calibration.scene import LENS

@@ -79,6 +79,21 @@ def test_frontal_views_alone_are_never_enough() -> None:
     assert progress.tilts == (0, 0, 0, 0)
 
 
+@pytest.mark.parametrize("spec", ["chessboard:8x6:20", "chessboard:10x7:20"])
+def test_a_chessboard_of_another_size_is_never_taken_and_named(spec: str) -> None:
+    held = parse_board("chessboard:9x6:20")
+    wanted = Wanted((0.0, 0.0), 0.6, 0.3, 0.0)
+    image = paint(held.draw(0.5), 0.5, board_pose_for(wanted, held, LENS.image_size), LENS)
+    capture = Capture(parse_board(spec))
+    capture.offer(image)
+    told = capture.offer(image)
+    assert (told.seen, told.views) == (Seen.NOTHING, 0)
+    assert f"SPEC: no {spec.split(':')[1]} inner corners seen, but 9x6" in told.advice
+    right = Capture(held)
+    right.offer(image)
+    assert right.offer(image).seen is Seen.TAKEN
+
+
 def test_a_board_without_lasting_numbers_is_refused() -> None:
     with pytest.raises(InputError, match="known ones"):
         Capture(parse_board("chessboard:any:15"))

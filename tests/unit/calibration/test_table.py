@@ -107,6 +107,15 @@ def test_what_cannot_be_a_table_is_refused() -> None:
         calibrate_table([("a.png", lying())], CameraCalibration("x", other, 0.1, 20), BOARD)
 
 
+@pytest.mark.parametrize("spec", ["chessboard:8x6:20", "chessboard:9x5:20", "chessboard:10x7:20"])
+def test_a_chessboard_of_another_size_on_the_table_is_named(spec: str) -> None:
+    sheet = paint(parse_board("chessboard:9x6:20").draw(0.5), 0.5, invert(T_TABLE_CAMERA) @ DOWN, LENS)
+    assert calibrate_table([("t.png", sheet)], KNOWN, parse_board("chessboard:9x6:20")).rms_px < 0.1
+    asked = spec.split(":")[1]
+    with pytest.raises(CalibrationPoorFit, match=f"no {asked} inner corners seen, but 9x6"):
+        calibrate_table([("t.png", sheet)], KNOWN, parse_board(spec))
+
+
 def test_a_table_belongs_to_its_lens(tmp_path: Path) -> None:
     found = calibrate_table([("t.png", lying())], KNOWN, BOARD)
     found.save(tmp_path / "table.json")
