@@ -59,7 +59,7 @@ class Chooser:
 
         Args:
             named: What was located, with the ids of the open targets.
-            in_the_way: What could not be, roughly.
+            in_the_way: What could not be, roughly, and what the look has overlooked.
             start: ndarray of shape (J,): where the arm stands, rad.
             concluded: How many targets have their outcome: some rest until it is enough.
         """

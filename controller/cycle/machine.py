@@ -37,6 +37,7 @@ TRANSITIONS: list[dict[str, Any]] = [
     {"trigger": "detected", "source": State.DETECT, "dest": State.LOCALIZE},
     {"trigger": "located", "source": State.LOCALIZE, "dest": State.PICK},
     {"trigger": "emptied", "source": [State.LOCALIZE, State.PICK], "dest": State.IDLE},
+    {"trigger": "unsure", "source": [State.LOCALIZE, State.PICK], "dest": State.CAPTURE},
     {"trigger": "picked", "source": State.PICK, "dest": State.PLACE},
     {"trigger": "nudged", "source": State.PICK, "dest": State.CAPTURE},
     {"trigger": "missed", "source": State.PICK, "dest": State.CAPTURE},

@@ -17,6 +17,7 @@ from controller.cycle.concerns import Concerns
 from controller.cycle.holding import Holding
 from controller.cycle.looking import Looker
 from controller.cycle.machine import CellMachine, State
+from controller.cycle.memory import Memory
 from controller.cycle.motions import Interrupted, Motions
 from controller.cycle.outcomes import Outcomes
 from controller.cycle.requests import Requests
@@ -105,6 +106,7 @@ class Sorter:
         self._motions.adopt(rig, view)
         self._holding.adopt(rig)
         self._looker = Looker(rig, self._motions.pose_at)
+        self._memory = Memory()
         self._chooser = Chooser(rig, self._book, self._stock, view)
 
     # --- from outside ---------------------------------------------------------------------------------
@@ -233,7 +235,8 @@ class Sorter:
         look = Look(self._frame, self._detected.detections, tuple(named), found.refused)
         for observer in self.rig.observers:
             observer.looked(look)
-        self._chooser.offer(named, found.in_the_way, self._motions.positions, self._outcomes.concluded)
+        in_the_way = (*found.in_the_way, *self._memory.look((*things, *found.in_the_way), self._frame))
+        self._chooser.offer(named, in_the_way, self._motions.positions, self._outcomes.concluded)
         self.left = len(named) + len(found.refused)
         self._motions.planner = self._concerns.review(named, self._stock)
         return "located" if self._chooser.queue else self._emptied()
@@ -315,7 +318,13 @@ class Sorter:
         return self._chooser.next(motions.planner, self.rig.arm.state().positions, motions.climb, corners)
 
     def _emptied(self) -> str:
-        """Nothing more can be picked now: what rested until something has changed has waited for nothing."""
+        """Nothing more can be picked now: what rested until something has changed has waited for nothing.
+
+        Unless the look has overlooked something: then another one has the say.
+        """
+        if self._memory.overlooked:
+            self._memory.forget()
+            return "unsure"
         for target in self._book.resting:
             self._outcomes.conclude(target, Result.GRASP_MISSED, target.reason)
         return "emptied"
