@@ -104,6 +104,7 @@ class World:
         self._jaw_qpos = self._model.joint(LEFT).qposadr[0]
         self._contacts = Contacts(self._model, self._data, arm, len(parts), self.opening)
         self.loose = LooseParts(self._model, self._data, parts, spares, self._disturbed)
+        self._contacts.disturbed = self.loose.disturbed
         self._past_times: list[float] = []
         self._past: list[tuple[NDArray[np.float64], frozenset[int]]] = []
         self._pose_at_rest()

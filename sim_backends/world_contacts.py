@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +29,13 @@ class Collision:
         at: When it began, s.
         arm: What of the arm: `link3`, `finger_left`, ...
         other: What it touched: `table`, the name of a bin, or `part4`.
+        disturbed: When a disturbance last moved that, s; None: never.
     """
 
     at: float
     arm: str
     other: str
+    disturbed: float | None
 
 
 class Contacts:
@@ -49,6 +51,7 @@ class Contacts:
         collisions: Every collision so far.
         held: The parts that both jaws touch.
         welcome: Parts that are there to be touched.
+        disturbed: When (s) a disturbance last moved a part, by its index; kept by others.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class Contacts:
         self.collisions: list[Collision] = []
         self.held: frozenset[int] = frozenset()
         self.welcome: frozenset[int] = frozenset()
+        self.disturbed: Mapping[int, float] = {}
         self._kinds = np.full(model.ngeom, _OTHER, np.int8)
         self._part_of = np.full(model.ngeom, -1, np.intp)
         self._names: list[str] = []
@@ -88,7 +92,7 @@ class Contacts:
                         held.setdefault(part, set()).add(self._names[mine])
                     continue
                 if part not in self.welcome and now - self._last_held.get(part, -math.inf) > _LETTING_GO:
-                    self._collide(self._names[mine], self._names[other], now)
+                    self._collide(self._names[mine], self._names[other], now, self.disturbed.get(part))
         self.held = frozenset(part for part, jaws in held.items() if len(jaws) == 2)
         self._last_held.update(dict.fromkeys(self.held, now))
 
@@ -125,8 +129,8 @@ class Contacts:
             and -25.0 < x < gripper.jaw_depth + 5.0
         )
 
-    def _collide(self, arm: str, other: str, now: float) -> None:
+    def _collide(self, arm: str, other: str, now: float, disturbed: float | None) -> None:
         last = self._last_touch.get((arm, other), -math.inf)
         self._last_touch[arm, other] = now
         if now - last > _SAME_COLLISION:
-            self.collisions.append(Collision(now, arm, other))
+            self.collisions.append(Collision(now, arm, other, disturbed))

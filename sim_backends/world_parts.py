@@ -30,6 +30,7 @@ class LooseParts:
 
     Attributes:
         aside: All parts are off the table, out of every picture.
+        disturbed: When (s) a disturbance last moved a part, by its index.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class LooseParts:
         self._spares = frozenset(range(len(parts) - spares, len(parts)))
         self._away = set(self._spares)
         self.aside = False
+        self.disturbed: dict[int, float] = {}
         for index in self._spares:
             self._carry_off(index)
 
@@ -97,17 +99,20 @@ class LooseParts:
         """Lay a part on the table at (x, y) of `base`, mm, turned by `yaw`, rad."""
         self._lay(index, x, y, yaw)
         self._away.discard(index)
+        self.disturbed[index] = float(self._data.time)
         self.aside = False
         self._settled()
 
     def shove(self, index: int, velocity: tuple[float, float], spin: float) -> None:
         """Give a part a velocity along the table, mm/s, and a turn about the vertical, rad/s."""
         dof = self._dofs[index]
+        self.disturbed[index] = float(self._data.time)
         self._data.qvel[dof : dof + 6] = (velocity[0] * MM, velocity[1] * MM, 0.0, 0.0, 0.0, spin)
         self._settled()
 
     def grease(self, index: int, greased: bool) -> None:
         """Make a part too slippery to be held, or as it was."""
+        self.disturbed[index] = float(self._data.time)
         geom = self._model.geom(part_name(index)).id
         self._model.geom_friction[geom, 0] = _GREASED if greased else self._parts[index].friction
 

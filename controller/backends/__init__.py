@@ -5,7 +5,7 @@ Camera, arm and clock come as a set. A simulated set is asked for by name; nothi
 
 from collections.abc import Mapping
 
-from controller.backends.devices import BackendOptions, Devices, Factory, Level, Mode
+from controller.backends.devices import BackendOptions, Devices, Factory, Level, Mode, Touch
 from controller.backends.nominal import nominal_camera
 from controller.backends.painted_table import PaintedTable
 from controller.backends.real import lone_camera, plugged_in, real_devices
@@ -20,6 +20,7 @@ __all__ = [
     "Level",
     "Mode",
     "PaintedTable",
+    "Touch",
     "lone_camera",
     "nominal_camera",
     "plugged_in",

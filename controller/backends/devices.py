@@ -64,6 +64,21 @@ class BackendOptions:
     watch_clock: Callable[[Clock], Clock] = lambda clock: clock
 
 
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The arm touched what it should not touch.
+
+    Attributes:
+        at: When it began, s.
+        what: What touched what.
+        disturbed: When a disturbance last moved what was touched, s; None: never.
+    """
+
+    at: float
+    what: str
+    disturbed: float | None = None
+
+
 @dataclass(slots=True)
 class Devices:
     """A set of devices behind the ports.
@@ -76,7 +91,7 @@ class Devices:
         miniature: The same, small and quick to make, for films.
         on_step: Has something called before every step of simulated time, with the step's length (s); None where
             the clock is not simulated here.
-        touches: When (s) the arm touched what it should not touch, and what touched what; where that can be known.
+        touches: When the arm touched what it should not touch, where that can be known.
         concerns: What is not in order and no reason to stop yet: causes in words by code of the fault catalogue.
         observers: Watchers a set needs for itself.
         script: Lets a script's faults happen, where one was given.
@@ -97,7 +112,7 @@ class Devices:
     portrait: Callable[[], NDArray[np.uint8]] | None = None
     miniature: Callable[[], NDArray[np.uint8]] | None = None
     on_step: Callable[[Callable[[float], None]], None] | None = None
-    touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    touches: Callable[[], Sequence[Touch]] = lambda: ()
     concerns: Callable[[], Mapping[str, str]] = dict
     observers: tuple[Observer, ...] = ()
     script: FaultDirector | None = None

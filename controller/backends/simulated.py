@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from controller.backends.concerns import Concerns
-from controller.backends.devices import BackendOptions, Devices, Level
+from controller.backends.devices import BackendOptions, Devices, Level, Touch
 from controller.backends.simulated_spec import cell_spec, simulated_cell
 from controller.config.cell import CellConfig
 from controller.cycle.machine import State
@@ -74,7 +74,7 @@ def sim_devices(config: CellConfig, arm: ArmDescription, options: BackendOptions
         portrait=lambda: cell.overview((960, 540)),
         miniature=lambda: cell.overview(_MINIATURE),
         on_step=cell.plant.on_step,
-        touches=lambda: [(touch.at, f"{touch.arm} touched {touch.other}") for touch in cell.collisions],
+        touches=lambda: [Touch(c.at, f"{c.arm} touched {c.other}", c.disturbed) for c in cell.collisions],
         names=_simulated_names(options),
         lay_round_part=cell.lay_round_part,
         observers=(

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.backends import Devices
+from controller.backends import Devices, Touch
 from controller.config.cell import CellConfig
 from controller.cycle.rig import Look, Observer
 from controller.domain import NudgePlan, Outcome, PickPlan, Point, Result, TruePart
@@ -54,7 +54,7 @@ class Trial(Observer):
     config: CellConfig
     timed: bool = True
     _truth: Truth | None = None
-    _touches: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
+    _touches: Callable[[], Sequence[Touch]] = lambda: ()
     _disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
     _holds: list[Record] = field(default_factory=list)
     _nudges: list[Record] = field(default_factory=list)
@@ -175,7 +175,10 @@ class Trial(Observer):
             "disturbed": [{"at_s": at, "kind": kind} for at, kind in self._disturbed()],
             "holds": self._holds,
             "nudges": self._nudges,
-            "touches": [{"at_s": round(at, 3), "what": what} for at, what in self._collisions()],
+            "touches": [
+                {"at_s": round(touch.at, 3), "what": touch.what, "disturbed": self._is_disturbed(touch)}
+                for touch in self._collisions()
+            ],
             "spans": [asdict(span) for span in self._timeline.spans],
             "failures": self._failures(final),
         }
@@ -229,7 +232,7 @@ class Trial(Observer):
             look = next((i for i, look in enumerate(self._looks) if look.frame is frame), len(self._looks) - 1)
             center = outcome.target.detection.center_px
             found.append(self._failure(verdict, outcome.reason, outcome.finished_at, look, center))
-        found += [self._touch(at, what) for at, what in self._collisions()]
+        found += [self._touch(touch.at, touch.what) for touch in self._collisions()]
         if self._looks:
             last = len(self._looks) - 1
             at = self._looks[last].frame.captured_at
@@ -241,14 +244,24 @@ class Trial(Observer):
                     found.append(self._failure(f"left: {part.place}", text, at, last, self._pixel(part.center)))
         return sorted(found, key=lambda failure: float(failure["at_s"]))
 
-    def _collisions(self) -> list[tuple[float, str]]:
+    def _collisions(self) -> list[Touch]:
         """Touches that were not meant."""
         touches = self._touches()
         meant = {n for nudge in self._nudges for n in range(*[*nudge["touches"], len(touches)][:2])}
         return [touch for number, touch in enumerate(touches) if number not in meant]
 
+    def _is_disturbed(self, touch: Touch) -> bool:
+        """A disturbance has moved what was touched after the picture by which the arm moved."""
+        attempt = self._attempt_at(touch.at)
+        if attempt is None or touch.disturbed is None:
+            return False
+        return touch.disturbed > attempt.plan.target.detection.frame.captured_at
+
+    def _attempt_at(self, at: float) -> _Attempt | None:
+        return next((a for a in reversed(self._attempts) if a.at <= at), None)
+
     def _touch(self, at: float, what: str) -> Record:
-        attempt = next((a for a in reversed(self._attempts) if a.at <= at), None)
+        attempt = self._attempt_at(at)
         if attempt is None:
             return self._failure("collision", what, at, 0, None)
         center = attempt.plan.target.detection.center_px

@@ -130,6 +130,7 @@ def run_tables(jobs: Sequence[Job], processes: int) -> Counter[str]:
         total.update({key: int(figures.get(key) or 0) for key in COUNTED})
         total["broken"] += "error" in record
         total["holds"] += len(record.get("holds", ()))
+        total["collisions with what was disturbed"] += sum(touch["disturbed"] for touch in record.get("touches", ()))
         total.update(f"disturbance: {event['kind']}" for event in record.get("disturbed", ()))
         told = {key: figures.get(key) for key in COUNTED if figures.get(key)}
         print(record["seed"], told, record.get("error", ""), flush=True)

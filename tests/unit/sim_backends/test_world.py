@@ -220,9 +220,12 @@ def test_a_jaw_that_comes_down_on_a_neighbour_is_a_collision() -> None:
     rig.grip(60.0)
     rig.to(200.0, 0.0, 80.0, math.pi / 2.0)
     assert crowded.collisions == []
+    crowded.loose.shove(1, (0.0, 0.0), 0.0)
+    shoved = crowded.now()
     rig.to(200.0, 0.0, 25.0, math.pi / 2.0, 0.5)
     assert {c.other for c in crowded.collisions} == {"part1"}
     assert crowded.collisions[0].at > 1.0
+    assert crowded.collisions[0].disturbed == pytest.approx(shoved)
 
 
 def test_the_table_and_a_bin_are_collisions_and_a_long_touch_is_one() -> None:
@@ -231,7 +234,7 @@ def test_the_table_and_a_bin_are_collisions_and_a_long_touch_is_one() -> None:
     rig.to(200.0, 0.0, 60.0, 0.0)
     rig.to(200.0, 0.0, 13.0, 0.0, 0.5)
     bare.advance(1.0)
-    assert sorted({c.other for c in bare.collisions}) == ["table"]
+    assert {(c.other, c.disturbed) for c in bare.collisions} == {("table", None)}
     assert len(bare.collisions) <= 2  # one for each jaw
     azimuth = math.radians(80.0)
     x, y = BINS[0].center[0] + 230.0 - 46.0, BINS[0].center[1]
