@@ -9,7 +9,7 @@ from controller.cycle import proof
 from controller.cycle.holding import RELEASES
 from controller.cycle.rig import Rig
 from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
-from controller.errors import PartHeld
+from controller.errors import MotionTimeout, PartHeld
 from controller.motion.planner import Planner
 
 _FALL_MM = 8.0
@@ -119,7 +119,7 @@ class Motions:
         return refusal
 
     def push(self, plan: NudgePlan) -> bool:
-        """Push a part with the closed jaws; False when something stood in the way down.
+        """Push a part with the closed jaws; False when something stood in the way, down or along the push.
 
         Raises:
             Interrupted: A move was ended early by a stop.
@@ -128,7 +128,14 @@ class Motions:
         if proof.obstruction(arrival, plan.approach) is not None:
             self.home()
             return False
-        self.follow(plan.push)
+        try:
+            stuck = proof.obstruction(self.follow(plan.push), plan.push) is not None
+        except MotionTimeout:
+            # What is pushed may jam among its neighbours; the driver has let go of the pressure and holds.
+            stuck = True
+        if stuck:
+            self.home()
+            return False
         self.follow(plan.retreat)
         return True
 

@@ -9,6 +9,7 @@ import pytest
 
 from controller.cycle.choice import NUDGES
 from controller.domain import MoveReport, Result, Shape, Trajectory
+from controller.errors import MotionTimeout
 from controller.localization.locate import Located
 from sim_backends.recording_arm import RecordingArm
 from tests.unit.cycle.bench import Bench, part
@@ -61,3 +62,27 @@ def test_what_has_no_name_waits_until_the_others_are_gone(monkeypatch: pytest.Mo
     bench = Bench(monkeypatch, part(0, 0, Shape.OTHER, score=1.0), part(0, 90, Shape.SQUARE, score=0.6))
     bench.run()
     assert [outcome.target.shape for outcome in bench.outcomes] == [Shape.SQUARE, Shape.OTHER]
+
+
+@pytest.mark.parametrize("blocked", [False, True])
+def test_a_push_that_jams_ends_in_another_look(monkeypatch: pytest.MonkeyPatch, blocked: bool) -> None:
+    """What is pushed may be held by its neighbours: the arm goes home from where it stands, not along the retreat."""
+    places = ((43.0, 90.0), (-43.0, 90.0), (0.0, 133.0), (0.0, 47.0))
+    bench = Bench(monkeypatch, part(0.0, 90.0), *(part(x, y, score=0.0) for x, y in places))
+    follow = RecordingArm.follow
+
+    def jams(arm: RecordingArm, trajectory: Trajectory, *how: float | None) -> MoveReport:
+        report = follow(arm, trajectory, *how)  # type: ignore[arg-type]  # whatever the cycle asks for
+        if trajectory.name != "push":
+            return report
+        if blocked:
+            raise MotionTimeout("shoulder", "push", "is 18 deg off its path", "clear the way, then reset")
+        elsewhere = report.state.positions - np.array([0.08, 0.0, 0.0, 0.0, 0.0])
+        return dataclasses.replace(report, state=dataclasses.replace(report.state, positions=elsewhere))
+
+    monkeypatch.setattr(RecordingArm, "follow", jams)
+    sorter = bench.run()
+    assert sorter.fault is None
+    after = [bench.commands[i + 1] for i, name in enumerate(bench.commands) if name == "push"]
+    assert after
+    assert set(after) == {"home"}
