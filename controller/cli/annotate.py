@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +35,7 @@ def annotate(
     classes: ClassesFolder = None,
     corrections: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="PICTURE:NUMBER=NAME", help="Correct one object; an empty NAME takes it out."),
+        typer.Option("--set", metavar="PICTURE:NUMBER=NAME", help="Correct an object; an empty NAME takes it out."),
     ] = None,
     save: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the pictures with every object's number and name.")
@@ -43,12 +45,13 @@ def annotate(
 ) -> None:
     """Propose annotations for the pictures of a folder and write them into its annotations.json.
 
-    Examples: controller annotate photos --save look | controller annotate photos --set nut_3.png:2=washer
-    --set nut_4.png:1=
+    Examples: controller annotate photos --save look | controller annotate photos --set 'nut_*.png:1=nut' --set
+    nut_3.png:2=washer --set nut_4.png:1=
 
     Look the saved pictures over and correct by number, or edit the file: `class` is the shape, `label` what you call
-    it; `train` learns labels, `evaluate --images` compares shapes. What stands there is never changed by a second
-    call, only new pictures are added, unless with --again. With --classes, taught names become labels.
+    it; `train` learns labels, `evaluate --images` compares shapes. Naming a shape drops the label: to say both, name
+    the shape first. What stands there is never changed by a second call, only new pictures are added, unless with
+    --again. With --classes, taught names become labels.
     """
     files = picture_files([folder])
     path = folder / FILE
@@ -58,10 +61,10 @@ def annotate(
     if taught is not None:
         content["classes"] = list(dict.fromkeys([*content["classes"], *taught.classifier.names]))
     looking = Looking(recipe)
-    added = 0
+    added = corrected = 0
     if corrections:
         # Nothing new is proposed while the numbers of old proposals are meant.
-        _correct(content["images"], corrections)
+        corrected = _correct(content["images"], corrections)
         files = []
     for file in files:
         if file.name in known and not again:
@@ -80,43 +83,57 @@ def annotate(
     part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     part.replace(path)
     if as_json:
-        corrected = len(corrections or [])
         print(json.dumps({"file": str(path), "images": len(known), "proposed": added, "corrected": corrected}))
     elif corrections:
-        stdout().print(f"{len(corrections)} corrected in {path}")
+        stdout().print(f"{corrected} corrected in {path}")
     else:
         stdout().print(f"{added} objects proposed; look them over in {path}")
 
 
-def _correct(entries: list[dict[str, Any]], corrections: list[str]) -> None:
-    """Change or take out single objects, all or none.
+def _correct(entries: list[dict[str, Any]], corrections: list[str]) -> int:
+    """Change or take out single objects, all or none, and say how many.
 
     Raises:
         InputError: A correction names a picture or an object that is not there.
     """
     known = {entry["file"]: entry for entry in entries}
     out: list[tuple[dict[str, Any], dict[str, Any]]] = []
+    changed = 0
     for text in corrections:
         found = _CORRECTION.fullmatch(text)
         if not found:
             raise InputError(f"{text!r} is no correction", "write it as picture.png:2=name")
-        name, number, said = found[1], int(found[2]), found[3].strip()
-        entry = known.get(name)
-        if entry is None:
-            raise InputError(f"no annotated picture {name!r}", f"there are {', '.join(sorted(known)[:5])}, ...")
-        if not 1 <= number <= len(entry["objects"]):
-            raise InputError(f"{name} has {len(entry['objects'])} objects, not {number}", "see --save for the numbers")
-        thing = entry["objects"][number - 1]
-        if not said:
-            out.append((entry, thing))
-        elif said in set(Shape):
-            thing["class"] = said
-            thing.pop("label", None)
-        else:
-            thing["label"] = checked_name(said)
+        number, said = int(found[2]), found[3].strip()
+        for entry in _meant(found[1], number, known):
+            thing = entry["objects"][number - 1]
+            changed += 1
+            if not said:
+                out.append((entry, thing))
+            elif said in set(Shape):
+                thing["class"] = said
+                thing.pop("label", None)
+            else:
+                thing["label"] = checked_name(said)
     for entry, thing in out:
         entry["objects"] = [other for other in entry["objects"] if other is not thing]
         entry["n"] = len(entry["objects"])
+    return changed
+
+
+def _meant(name: str, number: int, known: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The picture of a name, or all whose names match it as a pattern, that have an object of a number.
+
+    Raises:
+        InputError: There is none.
+    """
+    meant = [known[name]] if name in known else [entry for file, entry in known.items() if fnmatchcase(file, name)]
+    if not meant:
+        raise InputError(f"no annotated picture {name!r}", f"there are {', '.join(sorted(known)[:5])}, ...")
+    having = [entry for entry in meant if 1 <= number <= len(entry["objects"])]
+    if not having:
+        most = max(len(entry["objects"]) for entry in meant)
+        raise InputError(f"{name} has no object {number}, it has {most}", "see --save for the numbers")
+    return having
 
 
 def _save(folder: Path, entries: list[dict[str, Any]], save: Path) -> None:

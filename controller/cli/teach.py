@@ -48,8 +48,8 @@ def teach(
     """Teach a class of parts from 5 to 30 views: nothing but it may lie in the pictures, one or more of it in each.
 
     Examples: controller teach "M8 nut" photos/nut*.png | controller teach "M8 nut" --config cell.toml |
-    controller teach "blue arrow" --sim --config sim_taught.toml | controller teach bracket --drawing bracket.dxf
-    --height-mm 12
+    controller teach "blue arrow" --sim --config configs/sim_taught.toml | controller teach bracket --drawing
+    bracket.dxf --height-mm 12
 
     Without pictures the cell's camera is used: lay the part, press Enter, lay it elsewhere; nothing moves. The class
     is let in only when cross-validation recognises it; a refused one leaves the known classes as they were. Sorting
@@ -112,7 +112,9 @@ def _report(admission: Admission, folder: Path, as_json: bool) -> None:
         print(json.dumps(result | {"confusion": {k: dict(v) for k, v in admission.confusion.items()}}))
         return
     console = stdout()
-    console.print(f"{new.name}: {len(new.views)} views from {len(set(new.pictures))} pictures, kept in {folder}")
+    pictures = len(set(new.pictures))
+    plural = "" if pictures == 1 else "s"
+    console.print(f"{new.name}: {len(new.views)} views from {pictures} picture{plural}, kept in {folder}")
     console.print(confusion_table(admission.confusion))
     for warning in admission.warnings:
         console.print(f"warning: {warning}")
