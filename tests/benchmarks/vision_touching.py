@@ -3,7 +3,7 @@
 A part counts as right when something of its shape lies within a tenth of its size of its centre; what is found
 elsewhere or under another name of the five is wrong; `other` for the group, or nothing, is refused.
 
-Run: python -m tests.benchmarks.vision_touching [--seed 1] [--each 40] [--json FILE]
+Run: python -m tests.benchmarks.vision_touching [--seed 1] [--each 48] [--json FILE]
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ SHAPES = (Shape.SQUARE, Shape.RECTANGLE, Shape.CIRCLE, Shape.HEXAGON, Shape.TRIA
 _FINE = 8
 _SIZE = (1600, 900)
 _GRID = (5, 3)
+_MARGIN = 8.0
+"""Pixels that stay free inside a cell's border, so that neither the frame nor the next group touches a part."""
 
 
 def outline(shape: Shape, size: float, turn: float, aspect: float) -> Floats:
@@ -48,6 +50,15 @@ def outline(shape: Shape, size: float, turn: float, aspect: float) -> Floats:
 
 
 def group(count: int, rng: np.random.Generator) -> list[tuple[Shape, Floats]]:
+    """Parts about the origin, one against another, drawn anew until they fit one cell of the picture."""
+    room = 0.5 * np.array(_SIZE) / np.array(_GRID) - _MARGIN
+    while True:
+        parts = _pushed_together(count, rng)
+        if (np.abs(np.concatenate([part for _, part in parts])) < room).all():
+            return parts
+
+
+def _pushed_together(count: int, rng: np.random.Generator) -> list[tuple[Shape, Floats]]:
     """Parts about the origin, each pushed against those before it until the gap is below a quarter pixel."""
     out: list[tuple[Shape, Floats]] = []
     for _ in range(count):
