@@ -4,7 +4,7 @@ that any family fits, but arms must not run into it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -22,12 +22,20 @@ _AS_STRONG = 0.75
 _FAINTER = 0.25
 """The share of known objects that are fainter: dyes differ, and what the faintest is taken for may be a shadow."""
 
+_COLOURED = 0.5
+"""The same share for what has a colour that no shadow of the table has: a faint dye, but no shine of a part beside."""
+
 _BLUR = 2.0
 """Beyond an outline by this much, px of the searched image, its object may still show."""
 
 
 def leftovers(
-    strength: NDArray[np.float32], found: Sequence[Found], factor: int, region: NDArray[np.uint8] | None, narrow: float
+    strength: NDArray[np.float32],
+    found: Sequence[Found],
+    factor: int,
+    region: NDArray[np.uint8] | None,
+    narrow: float,
+    shadow: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],
 ) -> list[Found]:
     """Patches beside the known objects that differ from the table as they do, as objects of no known shape.
 
@@ -37,6 +45,7 @@ def leftovers(
         factor: How many times smaller the searched image is.
         region: ndarray of shape (H, W), dtype uint8: only where it is not 0; everywhere when None.
         narrow: Width of the narrowest patch that counts, px of the searched image.
+        shadow: Of the N pixels set in a mask (H, W), which have the table's colour, only darker, (N,).
     """
     if not found:
         return []
@@ -44,11 +53,12 @@ def leftovers(
     for item in found:
         cv2.fillPoly(covered, [_reduced(item.outline, factor)], (255,))
     clear = [_clearness(strength, _reduced(item.face, factor)) for item in found]
-    level = _AS_STRONG * float(np.quantile(clear, _FAINTER, method="lower"))
-    rest = np.where(strength > level, 255, 0).astype(np.uint8)
-    rest[cv2.dilate(covered, _disc(_BLUR)) > 0] = 0
+    typical = float(np.quantile(clear, _FAINTER, method="lower"))
+    free = (strength > _COLOURED * typical) & (cv2.dilate(covered, _disc(_BLUR)) == 0)
     if region is not None:
-        rest[region == 0] = 0
+        free &= region > 0
+    rest = np.zeros(strength.shape, np.uint8)
+    rest[free] = np.where((strength[free] > _AS_STRONG * typical) | ~shadow(free), 255, 0)
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, _disc(narrow / 2.0)), np.uint8)
     contours, _ = cv2.findContours(rest, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []

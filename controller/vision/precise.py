@@ -17,6 +17,7 @@ from controller.vision.noise import least_step, pixel_noise, without_spikes
 from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
+from controller.vision.selection import shaded
 from controller.vision.sheet import sheets, unpacked
 from controller.vision.thorough import open_objects
 from controller.vision.timing import Stopwatch
@@ -101,7 +102,11 @@ def _search(
     found = judge(scene, [*clear, *rest], watch)
     if scene.sides and settings.others:
         there = None if mask is None else np.asarray(mask, np.uint8)
-        found += leftovers(strength, found, factor, there, settings.smallest_px / factor)
+
+        def shadow(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+            return shaded(scene, white.difference[where].astype(np.float64))
+
+        found += leftovers(strength, found, factor, there, settings.smallest_px / factor, shadow)
         watch.lap("others")
     return found
 
