@@ -66,7 +66,8 @@ class StoredCalibration:
             for key, value in (devices or {}).items():
                 if key in noted and noted[key] != value:
                     raise CalibrationStale(
-                        f"{name}: made with {key} {noted[key]}, this cell has {value}", "calibrate again"
+                        f"{name}: made with {key} {noted[key]}, this cell has {value}",
+                        "name this cell's own folder, or calibrate again",
                     )
 
 
@@ -237,7 +238,7 @@ def _belongs(path: Path, what: str, stated: str, present: str) -> None:
     if stated and stated != present:
         raise CalibrationStale(
             f"{path}: made with the {what} calibration {stated}, the folder holds {present}",
-            f"run `controller calibrate {path.stem}` again",
+            f"put back the {what}.json it was made with, or run `controller calibrate {path.stem}` again",
         )
 
 
