@@ -63,6 +63,8 @@ def teach(
     if bool(images) + sim + (drawing is not None) > 1:
         raise typer.BadParameter("pictures, --sim and --drawing exclude one another")
     if drawing is not None:
+        if height_mm == 0.0:
+            raise typer.BadParameter("a drawn part needs its height: --height-mm above 0")
         outline = read_drawing(drawing)
         admission = admit(drawn_class(name, outline, height_mm, drawing.name), known, faces)
         save_class(folder, admission.new)

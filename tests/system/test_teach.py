@@ -51,6 +51,15 @@ def test_an_empty_picture_teaches_nothing(controller: Controller, tmp_path: Path
     assert not (tmp_path / "state" / "sorting-controller" / "classes").exists()
 
 
+def test_a_drawn_part_without_a_height_is_refused(controller: Controller, tmp_path: Path) -> None:
+    (tmp_path / "a.svg").write_text(
+        '<svg width="40mm" height="30mm" viewBox="0 0 40 30"><path d="M0 0H40V30H0Z"/></svg>'
+    )
+    refused = controller("teach", "plate", "--drawing", tmp_path / "a.svg", "--height-mm", "0")
+    assert refused.returncode == 2
+    assert "needs its height" in refused.stderr
+
+
 def test_a_rule_for_a_label_that_was_never_taught_stops_the_run_before_it_begins(
     controller: Controller, tmp_path: Path
 ) -> None:
