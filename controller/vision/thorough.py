@@ -201,7 +201,7 @@ def _refined(
         assert scene.plane is not None
         below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
         tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]
-        judged += tried(scene, tops, blur)
+        judged += tried(scene, tops, blur, certain)
     return judged
 
 
