@@ -36,7 +36,7 @@ from controller.domain import ArmDescription, MoveReport, Trajectory
 from controller.errors import PlanError
 from controller.insight.evaluation import breakdown, cycles_of, within
 from controller.localization.locate import locate
-from controller.motion import planner as planning
+from controller.motion import moves
 from controller.motion.path import Path as Way
 from controller.motion.path import speed_limits
 from controller.motion.planner import Planner
@@ -72,7 +72,7 @@ class Bounds:
             self.moves.append(self._known[id(trajectory.positions)][1])
             return follow(motions, trajectory, *how)
 
-        with mock.patch.object(planning, "generate", generated), mock.patch.object(Motions, "follow", followed):
+        with mock.patch.object(moves, "generate", generated), mock.patch.object(Motions, "follow", followed):
             yield
 
     def of_cycles(self, spans: Sequence[Mapping[str, Any]]) -> list[tuple[float, float]]:
