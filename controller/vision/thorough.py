@@ -36,6 +36,9 @@ _FAINT = 0.75
 """Share of the smallest contrast that a region's boundary must have to be worth a closer look: it is rough."""
 _BESIDE = 3.0
 """How far from a boundary, px of the searched image, its sides are looked at: beyond the blur."""
+_AGREED, _AGREED_SIDES = 0.6, 0.5
+"""Share of the rays whose edges a fit must explain, and that of the best fit around a region's core where side faces
+show: nearly half of a silhouette's edge may be theirs."""
 _NECKED = 0.93
 """Area over the hull's, below which a region may be several touching parts."""
 
@@ -180,7 +183,10 @@ def _refined(
             done |= {i for i, item in enumerate(scene.regions) if clear.explains(item.contour)}
         for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
             h = options[rank]
-            if h.inliers < 0.6 or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
+            region = scene.regions[h.region]
+            leans = scene.sides and rank == 0 and region.core and region.cue == "level"
+            agreed = _AGREED_SIDES if leans else _AGREED
+            if h.inliers < agreed or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
                 continue
             if _lies(maps, h, certain):
                 continue
