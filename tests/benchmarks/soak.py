@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import random
 import statistics
@@ -37,7 +38,7 @@ from controller.config.files import shipped
 from controller.cycle.machine import State
 from controller.cycle.rig import Observer
 from controller.domain import ArmDescription, Outcome, PickPlan, Result
-from controller.errors import SorterError
+from controller.errors import Intruder, SorterError
 from controller.ledger.view import LedgerView
 from controller.service import session as session_module
 from controller.service.client import CommandFailed, ControlClient
@@ -61,6 +62,8 @@ WINDOW = 600.0
 """Simulated s from one line to the next."""
 STUCK = 900.0
 """Simulated s in which a table of parts is dealt with, faults included; longer, and something is stuck."""
+PATIENCE = 30.0
+"""Simulated s after which somebody takes away what the cell holds for: parts that lie as one heap, say."""
 MOST_GROWTH_MB = 3.0
 """Memory that may be gained a simulated hour: what the allocator does not give back, and the counts of a run."""
 MOST_SLOWER = 1.25
@@ -132,6 +135,7 @@ class Soak(Observer):
         self._yardsticks = [_yardstick()]
         self._placed, self._cpu = 0, time.process_time()
         self._latched = False
+        self._heap_since = math.inf
         self._latest = deque[str](maxlen=16)
         self._operator: ControlClient | None = None
 
@@ -139,6 +143,7 @@ class Soak(Observer):
         """The devices are open."""
         self.devices = devices
         self._began = self._supplied_at = self._window_at = devices.clock.now()
+        cast(Any, devices.truth).cell.world.on_step(self._clear_a_heap)
         return (self,)
 
     @property
@@ -163,8 +168,13 @@ class Soak(Observer):
 
     def held(self, cause: SorterError, at: float) -> None:
         """Count what the cell held for."""
+        self._heap_since = at if isinstance(cause, Intruder) else math.inf
         self.found.faults[fault_code(cause)] += 1
         self._told(f"held: {cause}")
+
+    def resumed(self, at: float) -> None:
+        """It goes on."""
+        self._heap_since = math.inf
 
     def warned(self, code: str, cause: str, at: float) -> None:
         """Count what was warned of."""
@@ -190,6 +200,13 @@ class Soak(Observer):
             self.over.set()
 
     # --- the table ------------------------------------------------------------------------------------
+
+    def _clear_a_heap(self, dt: float) -> None:
+        """Take away what the cell waits for, as its alarm says, when it is no hand that leaves by itself."""
+        assert self.devices is not None
+        if self._now() - self._heap_since > PATIENCE and not cast(Any, self.devices.truth).cell.world.held:
+            self._heap_since = math.inf
+            self._supply()
 
     def _supply(self) -> None:
         """Compare what is on record with where the parts are, empty the bins, and lay all parts on the table."""
