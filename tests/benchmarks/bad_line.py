@@ -121,9 +121,9 @@ def _compare(bus: Bus, witness: _Witness, found: Found) -> None:
             found.wrong += (servo_id, status.error, status.data) not in witness.said(size)
         return status
 
-    # Only here is it known which question an answer was taken for; mypy forbids to replace a method by assignment.
-    line.ask_all = checked_ask_all  # type: ignore[method-assign]
-    line.ask = checked_ask  # type: ignore[method-assign]
+    # The line's own methods are replaced: only there is it known which question an answer was taken for.
+    line.ask_all = checked_ask_all  # type: ignore[method-assign]  # mypy wants no method replaced
+    line.ask = checked_ask  # type: ignore[method-assign]  # the same
 
 
 class Session:
