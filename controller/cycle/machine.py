@@ -1,6 +1,6 @@
 """States and transitions of the cell, in one table.
 
-Work is done by the handlers in `controller.cycle.sorter`; the machine only says what may follow what. The
+Work is done by the handlers in `controller.cycle.handlers`; the machine only says what may follow what. The
 first fault latches: only an operator's reset leaves FAULT, and it leads to STOPPED, never to motion.
 """
 

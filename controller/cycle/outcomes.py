@@ -15,6 +15,7 @@ class Outcomes:
 
     Attributes:
         concluded: How many have their outcome.
+        at_work: What the arm is at work on, or None.
 
     Args:
         rig: The cell.
@@ -25,6 +26,7 @@ class Outcomes:
         self._rig, self._book = rig, book
         self._unwritten: list[Outcome] = []
         self.concluded = 0
+        self.at_work: Target | None = None
 
     def conclude(self, target: Target, result: Result, reason: str) -> None:
         """Give a target its outcome. What cannot be written now is kept, and holds the cell before anything new."""
@@ -38,6 +40,12 @@ class Outcomes:
         self._unwritten.append(outcome)
         with suppress(LedgerError):
             self.write()
+
+    def conclude_work(self, result: Result, reason: str) -> None:
+        """Give what the arm is at work on its outcome, if it is at work."""
+        if self.at_work is not None:
+            self.conclude(self.at_work, result, reason)
+            self.at_work = None
 
     def write(self) -> None:
         """Put on record what is not yet there, and tell it.

@@ -39,7 +39,10 @@ _REASONS = {
 class Work(Protocol):
     """What sorts; `controller.cycle.sorter.Sorter` does."""
 
-    fault: SorterError | None
+    @property
+    def fault(self) -> SorterError | None:
+        """The first fault, or None."""
+        ...
 
     def run(self) -> None:
         """Sort until stopped or faulted; blocks."""
