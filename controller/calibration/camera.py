@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import bundle
-from controller.calibration.boards import Board, BoardKind, BoardView
+from controller.calibration.board_search import BoardView
+from controller.calibration.boards import Board, BoardKind
 from controller.calibration.lens import CameraCalibration, LensModel, camera_from_json, named
 from controller.calibration.views import find_views
 from controller.errors import CalibrationPoorFit

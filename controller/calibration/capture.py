@@ -13,7 +13,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration.boards import Board, BoardKind, BoardNotFound, BoardView
+from controller.calibration.board_search import BoardNotFound, BoardView, find_board
+from controller.calibration.boards import Board, BoardKind
 from controller.calibration.guided import NOMINAL_FIELD
 from controller.calibration.table import board_pose
 from controller.calibration.views import seen_instead
@@ -99,7 +100,7 @@ class Capture:
     def offer(self, image: Image) -> Progress:
         """Look at the next picture, ndarray of shape (H, W, 3), dtype uint8."""
         try:
-            view = self.board.find(image)
+            view = find_board(self.board, image)
         except BoardNotFound as error:
             self._last = None
             instead = seen_instead(self.board, image, False)

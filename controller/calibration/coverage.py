@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.calibration.boards import BoardView
+from controller.calibration.board_search import BoardView
 from controller.calibration.lens import CameraCalibration
 
 Image = NDArray[np.uint8]

@@ -21,7 +21,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from controller.calibration import files
-from controller.calibration.boards import Board, BoardKind, BoardView
+from controller.calibration.board_search import BoardView
+from controller.calibration.boards import Board, BoardKind
 from controller.calibration.table import board_pose
 from controller.errors import CalibrationPoorFit, InputError
 from controller.geometry import CameraModel, invert, pose_from_rvec, rvec_tvec

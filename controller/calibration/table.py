@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import bundle, edges, files
-from controller.calibration.boards import T_TABLE_BOARD, Board, BoardKind, BoardNotFound
+from controller.calibration.board_search import BoardNotFound, find_board
+from controller.calibration.boards import T_TABLE_BOARD, Board, BoardKind
 from controller.calibration.camera import refine_pose
 from controller.calibration.lens import CameraCalibration
 from controller.calibration.views import seen_instead
@@ -152,7 +153,7 @@ def calibrate_table(
                 "take the picture with the same camera settings",
             )
         try:
-            view = board.find(image)
+            view = find_board(board, image)
         except BoardNotFound as error:
             rejected.append((name, seen_instead(board, image, False) or error.cause))
             continue

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import grid
-from controller.calibration.boards import Board, BoardKind, BoardNotFound, BoardView
+from controller.calibration.board_search import BoardNotFound, BoardView, find_board
+from controller.calibration.boards import Board, BoardKind
 
 Image = NDArray[np.uint8]
 
@@ -36,7 +37,7 @@ def find_views(
             rejected.append((name, f"{size[0]}x{size[1]} px, most pictures have {usual[0]}x{usual[1]}"))
             continue
         try:
-            seen.append((name, board.find(image)))
+            seen.append((name, find_board(board, image)))
         except BoardNotFound as error:
             rejected.append((name, error.cause))
     looked_at = images[:_LOOKED_AT]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.marker import ArmMarker
 from controller.calibration.printing import lay_out, lay_out_corners, lay_out_marker, write_sheet
 

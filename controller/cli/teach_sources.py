@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from controller.backends import BackendOptions, Level, PaintedTable, lone_camera
 from controller.calibration.arm import by_ruler
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.guided import calibrate_by_showing
 from controller.calibration.store import cell_calibration, load_calibration
 from controller.cli.detect import picture_files

@@ -26,7 +26,7 @@ from controller.calibration.arm import ArmCalibration, Residual
 from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_procedure import calibrate_arm
 from controller.calibration.arm_touch import PUSHES, Touch, push_part
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.error_map import Area, look_around
 from controller.calibration.guided import calibrate_by_showing

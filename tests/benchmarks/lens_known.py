@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.calibration import bundle
-from controller.calibration.boards import BoardView, parse_board
+from controller.calibration.board_search import BoardView
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import CameraCalibration, fit_views, refine_pose
 from controller.calibration.guided import Wanted, board_pose_for, wanted_views
 from controller.errors import CalibrationPoorFit

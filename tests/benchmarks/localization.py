@@ -22,7 +22,7 @@ import numpy as np
 
 from controller.backends import BackendOptions, Level, PaintedTable
 from controller.calibration.arm import by_ruler
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.guided import calibrate_by_showing
 from controller.calibration.store import cell_calibration
 from controller.config.arm import load_arm

@@ -20,7 +20,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from controller.calibration.boards import T_TABLE_BOARD, BoardView, parse_board
+from controller.calibration.board_search import BoardView
+from controller.calibration.board_spec import parse_board
+from controller.calibration.boards import T_TABLE_BOARD
 from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, fit_views
 from controller.calibration.hand_eye import Carried, HandEye, fit_hand_eye, read_robot_pose
 from controller.calibration.marker import refine_square

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.printing import lay_out, raster
 from controller.cli import camera as camera_command
 from controller.cli import execute

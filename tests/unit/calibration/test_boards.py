@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from controller.calibration.boards import T_TABLE_BOARD, BoardKind, BoardNotFound, parse_board
+from controller.calibration.board_search import BoardNotFound, find_board
+from controller.calibration.board_spec import parse_board
+from controller.calibration.boards import T_TABLE_BOARD, BoardKind
 from controller.errors import InputError
 from controller.geometry import pose_from_rvec, transform
 from tests.unit.calibration.scene import LENS, paint
@@ -24,7 +26,7 @@ def test_a_drawn_board_is_found_where_it_was_shown(spec: str) -> None:
     board = parse_board(spec)
     T = pose_from_rvec([0.3, -0.25, 0.2], [15.0, -20.0, 520.0])
     picture = paint(board.draw(board.pitch / 40), board.pitch / 40, T, LENS, samples=3)
-    view = board.find(picture)
+    view = find_board(board, picture)
     truth = LENS.project(transform(T, board.corners[view.ids]))
     distance = np.linalg.norm(view.image_points - truth, axis=1)
     assert len(view.ids) == len(board.corners)
@@ -51,7 +53,7 @@ def test_board_axes_are_the_prints_own(spec: str) -> None:
 def test_a_chessboard_of_odd_sum_knows_its_upper_left(turn: float) -> None:
     board = parse_board("chessboard:8x5:20")
     T = pose_from_rvec([0.0, 0.0, turn], [0.0, 0.0, 500.0])
-    view = board.find(paint(board.draw(0.5), 0.5, T, LENS))
+    view = find_board(board, paint(board.draw(0.5), 0.5, T, LENS))
     truth = LENS.project(transform(T, board.corners))
     # An ambiguity would swap far corners: hundreds of px.
     assert np.linalg.norm(view.image_points - truth, axis=1).max() < 0.5
@@ -60,7 +62,7 @@ def test_a_chessboard_of_odd_sum_knows_its_upper_left(turn: float) -> None:
 def test_part_of_a_charuco_board_is_enough() -> None:
     board = parse_board("charuco:10x7:25:18:DICT_5X5_100")
     picture = paint(board.draw(0.625), 0.625, pose_from_rvec([0.0, 0.0, 0.0], [200.0, 90.0, 450.0]), LENS)
-    view = board.find(picture)
+    view = find_board(board, picture)
     assert 8 <= len(view.ids) < len(board.corners)
 
 
@@ -68,7 +70,7 @@ def test_part_of_a_charuco_board_is_enough() -> None:
 def test_an_overfilled_view_is_indexed_consistently(turn: tuple[float, float, float]) -> None:
     shown = parse_board("chessboard:29x29:15")
     T = pose_from_rvec(turn, [10.0, -5.0, 300.0])
-    view = parse_board("chessboard:any:15").find(paint(shown.draw(0.375), 0.375, T, LENS))
+    view = find_board(parse_board("chessboard:any:15"), paint(shown.draw(0.375), 0.375, T, LENS))
     assert len(view.ids) > 60
     # Whatever corner is called (0, 0): every found one is one of the print's, and neighbours stay neighbours.
     truth = LENS.project(transform(T, shown.corners))
@@ -86,13 +88,13 @@ def test_what_is_not_there_is_not_found() -> None:
     board = parse_board("chessboard:9x6:20")
     empty = np.full((480, 640), 128, np.uint8)
     with pytest.raises(BoardNotFound, match="9x6"):
-        board.find(empty)
+        find_board(board, empty)
     with pytest.raises(BoardNotFound, match="of its markers"):
-        parse_board("charuco:10x7:25:18:DICT_5X5_100").find(np.repeat(empty[..., None], 3, axis=2))
+        find_board(parse_board("charuco:10x7:25:18:DICT_5X5_100"), np.repeat(empty[..., None], 3, axis=2))
     with pytest.raises(BoardNotFound):
-        parse_board("circles:8x6:25").find(empty)
+        find_board(parse_board("circles:8x6:25"), empty)
     with pytest.raises(BoardNotFound):
-        parse_board("chessboard:any:20").find(empty)
+        find_board(parse_board("chessboard:any:20"), empty)
 
 
 def test_the_print_measures_what_it_says() -> None:
@@ -153,7 +155,7 @@ def test_a_staggered_grid_of_discs_is_read() -> None:
         centre = (round(float(at[0])), round(float(at[1])))
         cv2.circle(print_, centre, round(7.0 / pixel * 16), (0.0,), -1, cv2.LINE_AA, 4)
     T = pose_from_rvec([0.2, -0.3, 1.4], [10.0, -5.0, 520.0])
-    found = board.find(paint(print_, pixel, T, LENS))
+    found = find_board(board, paint(print_, pixel, T, LENS))
     assert len(found.ids) == 44
     # Perspective shifts the middle of a disc's ellipse by some tenths of a pixel.
     expected = LENS.project(found.object_points @ T[:3, :3].T + T[:3, 3])

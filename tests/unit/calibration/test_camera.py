@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from controller.calibration import bundle
-from controller.calibration.boards import BoardView, parse_board
+from controller.calibration.board_search import BoardView
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import CameraCalibration, LensModel, calibrate_camera, fit_views
 from controller.calibration.guided import board_pose_for, wanted_views
 from controller.calibration.table import board_pose

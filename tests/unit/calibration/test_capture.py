@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import fit_views
 from controller.calibration.capture import Capture, Progress, Seen
 from controller.calibration.coverage import coverage_picture

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.calibration.boards import BoardView, parse_board
+from controller.calibration.board_search import BoardView
+from controller.calibration.board_spec import parse_board
 from controller.calibration.hand_eye import Carried, fit_hand_eye
 from controller.geometry import invert, pose_from_rvec
 from tests.unit.calibration.scene import LENS

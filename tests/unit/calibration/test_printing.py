@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_search import find_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.marker import ArmMarker
 from controller.calibration.printing import (
     DPI,
@@ -72,7 +73,7 @@ def test_a_print_is_found_in_its_true_size(spec: str, kind: str) -> None:
     board, dpi = parse_board(spec), 150.0
     sheet = lay_out(board)
     page = raster(sheet, dpi) if kind == "png" else drawn_pdf(pdf(sheet), dpi)
-    view = board.find(page)
+    view = find_board(board, page)
     assert len(view.ids) == len(board.corners)
     # Pixel centres are half a pixel beyond the edges that the millimetres count from.
     on_page = (view.image_points + 0.5) * 25.4 / dpi - sheet.middle

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_search import find_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import calibrate_camera
 from controller.calibration.table import board_pose
 from controller.errors import CalibrationPoorFit
@@ -78,7 +79,7 @@ def test_a_robot_that_carries_the_board_is_seen_where_it_says(shared: Path) -> N
     camera = CameraModel(np.array([[542.3, 0, 322.2], [0, 543.5, 231.3], [0, 0, 1.0]]), np.zeros(5), (640, 480))
     board = parse_board("circles:10x10:25.4")
     for _, picture in load(shared, "rosi_charuco_robot/grid_0[0-4].png"):
-        view = board.find(picture)
+        view = find_board(board, picture)
         T = board_pose(view.object_points, view.image_points, camera)
         points = view.object_points @ T[:3, :3].T + T[:3, 3]
         assert np.sqrt(((camera.project(points) - view.image_points) ** 2).sum(axis=1).mean()) < 1.0

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_search import find_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.guided import board_pose_for, calibrate_by_showing, wanted_views
 from controller.calibration.table import TableCalibration, calibrate_table, table_from_json
@@ -77,11 +78,11 @@ def test_frames_are_averaged() -> None:
 
 
 def test_a_corner_that_something_on_the_sheet_made_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    image, clean = lying(), BOARD.find(lying())
+    image, clean = lying(), find_board(BOARD, lying())
 
     def finds(stray: NDArray[np.bool_]) -> TableCalibration:
         shifted = replace(clean, image_points=clean.image_points + np.where(stray[:, None], [4.0, -1.0], 0.0))
-        monkeypatch.setattr(type(BOARD), "find", lambda board, picture: shifted)
+        monkeypatch.setattr("controller.calibration.table.find_board", lambda board, picture: shifted)
         return calibrate_table([("t.png", image)], KNOWN, BOARD)
 
     count = len(clean.image_points)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from controller.calibration.boards import parse_board
+from controller.calibration.board_spec import parse_board
 from controller.calibration.guided import board_pose_for, wanted_views
 from controller.cli import camera as room
 from controller.cli import execute
