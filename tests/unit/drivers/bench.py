@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from controller.config.arm import load_arm
-from controller.domain import ArmDescription, Array
+from controller.domain import ArmDescription, Array, Trajectory
 from controller.errors import BusError
 from drivers.arm.bus import Bus
 from drivers.arm.dynamixel import DynamixelArm
@@ -18,6 +18,10 @@ from sim_backends.virtual_dynamixel.bus import VirtualBus
 from sim_backends.virtual_dynamixel.protocol import Instruction, InstructionParser
 from sim_backends.virtual_dynamixel.servo import ServoSpec
 from sim_backends.virtual_dynamixel.stream import BusStream
+from tests.contract.arm_suite import quintic
+
+WAIST, SHOULDER, ELBOW, WRIST, _, JAW = range(1, 7)
+"""IDs of the servos of an arm with five joints."""
 
 Answer = Callable[[bytes], list[tuple[float, bytes]]]
 
@@ -216,3 +220,15 @@ def place_at_rest(plant: IdealPlant, description: ArmDescription) -> None:
         plant.place(joint.servo_id, -angle if joint.reverse else angle)
         if joint.shadow_id is not None:
             plant.place(joint.shadow_id, angle if joint.reverse else -angle)
+
+
+def a_move(bench: ArmBench, duration: float = 1.0) -> Trajectory:
+    """A move of every joint from where the arm stands."""
+    start = bench.arm.state().positions
+    return quintic(start, start + np.array([0.8, 0.6, -0.6, 0.3, 0.5])[: len(start)], duration)
+
+
+def goals_told(bench: ArmBench, servo_id: int = WAIST) -> tuple[Array, Array]:
+    """(times, ticks) of what a servo was told by sync writes."""
+    told = [(at, goals[servo_id]) for at, goals in bench.stream.goals if servo_id in goals]
+    return np.array([at for at, _ in told]), np.array([ticks for _, ticks in told])
