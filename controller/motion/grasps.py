@@ -27,7 +27,8 @@ _UNKNOWN_MARGIN = 15.0
 MIN_CLEARANCE = 2.0
 ENOUGH_CLEARANCE = 8.0
 BIN_WALL = 4.0  # thickness that is kept clear of, mm
-_OUTLINE_STEP = 2.0  # mm between the points an obstacle is made of; below MIN_CLEARANCE nothing slips through
+_OUTLINE_STEP = 2.0  # mm between the points of an obstacle's outline; below MIN_CLEARANCE nothing slips through
+_RING_STEP = 8.0  # mm between the rings of points within it, less than a jaw is thick: none comes down between them
 _CIRCLE_DIRECTIONS = 12
 # Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle is held however it lies, the
 # jaws before its corner (physics study of 12 picks a cell, friction 0.3 to 0.8).
@@ -149,14 +150,22 @@ def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
 
 
 def obstacles(others: Sequence[LocatedObject], bins: Sequence[Bin], near: Point, within: float) -> Array:
-    """Points (N, 2) along the outlines of everything near a place that a jaw must not touch, mm."""
-    outlines = [dense(other.footprint) for other in others if math.dist(other.center, near) < within + max(other.size)]
+    """Points (N, 2) on everything within a distance of a place that a jaw must not touch, `table`, mm."""
+    found = [solid(other) for other in others if math.dist(other.center, near) < within + max(other.size)]
     for bin_ in bins:
         half = np.array(bin_.size) / 2.0 + BIN_WALL
         if math.dist(bin_.center, near) < within + float(np.hypot(*half)):
-            corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half + bin_.center
-            outlines.append(dense(corners))
-    return np.concatenate(outlines) if outlines else np.empty((0, 2))
+            found.append(dense(np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half + bin_.center))
+    points = np.concatenate(found) if found else np.empty((0, 2))
+    return np.asarray(points[np.hypot(*(points - near).T) < within])
+
+
+def solid(thing: LocatedObject) -> Array:
+    """Points (N, 2) along an outline and on rings within it, mm: what comes down inside it is as much in the way."""
+    rim, middle = dense(thing.footprint), np.array(thing.center)
+    count = math.ceil(float(np.hypot(*(rim - middle).T).max()) / _RING_STEP)
+    rings = [middle + k / count * (rim[::2] - middle) for k in range(count)]
+    return np.concatenate([rim, *rings])
 
 
 def dense(outline: Array) -> Array:

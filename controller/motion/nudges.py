@@ -92,7 +92,7 @@ def pushes(
     found: list[Push] = []
     for moved in (target, *scene.culprits()):
         blocked = scene.solid_about(moved)
-        rest = scene.outlines_without(moved)
+        rest = scene.rest_without(moved)
         for heading, direction in scene.headings(moved):
             for push in scene.free_pushes(moved, heading, direction, blocked):
                 freed = scene.first_that_frees(push, rest)
@@ -125,7 +125,7 @@ class _Scene:
     def culprits(self) -> list[LocatedObject]:
         """Neighbours, each of which alone keeps the target from being taken, nearest first."""
         near = self.neighbours()
-        return [thing for thing in near if self.can_be_taken(self.target, self.outlines_without(thing))]
+        return [thing for thing in near if self.can_be_taken(self.target, self.rest_without(thing))]
 
     def neighbours(self) -> list[LocatedObject]:
         """Everything that can stand in the target's way, nearest first."""
@@ -178,20 +178,17 @@ class _Scene:
     def _inside(self, place: Array) -> bool:
         return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
 
-    def outlines_without(self, moved: LocatedObject) -> Array:
-        """Points along all outlines near the target but its own and that of `moved`."""
+    def rest_without(self, moved: LocatedObject) -> Array:
+        """Points on everything near the target but itself and `moved`."""
         rest = [thing for thing in self.others if thing is not moved]
         within = grasps.reach_about(self.target, self.gripper) + max(TRAVELS)
         return grasps.obstacles(rest, self.bins, self.target.center, within)
 
     def solid_about(self, moved: LocatedObject) -> Array:
-        """Points on and inside everything near a part but itself: no box may come down inside an outline either."""
+        """Points on everything near a part but itself."""
         rest = [thing for thing in (self.target, *self.others) if thing is not moved]
-        points = [grasps.obstacles(rest, self.bins, moved.center, 2.0 * max(TRAVELS) + self.gripper.opening[1])]
-        for thing in rest:
-            center = np.array(thing.center)
-            points += [center + share * (thing.footprint - center) for share in (0.75, 0.5, 0.25)]
-        return np.concatenate(points)
+        within = 2.0 * max(TRAVELS) + self.gripper.opening[1] + max(moved.size)
+        return grasps.obstacles(rest, self.bins, moved.center, within)
 
     def headings(self, moved: LocatedObject) -> Iterable[tuple[float, float]]:
         """(heading of the push, closing direction).
@@ -288,7 +285,7 @@ class _Scene:
     def _freed(self, moved: LocatedObject, end: LocatedObject, rest: Array) -> bool:
         if moved is self.target:
             return self.can_be_taken(end, rest)
-        return self.can_be_taken(self.target, np.vstack([rest, grasps.dense(end.footprint)]))
+        return self.can_be_taken(self.target, np.vstack([rest, grasps.solid(end)]))
 
     def can_be_taken(self, part: LocatedObject, blocked: Array) -> bool:
         """Whether the jaws have a free grasp of a part past points of obstacles."""

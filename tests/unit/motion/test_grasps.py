@@ -96,6 +96,15 @@ def test_the_swept_jaws_touch_nothing(seed: int, count: int) -> None:
                 assert gap > grasp.clearance - 1.0
 
 
+def test_no_jaw_comes_down_within_the_outline_of_a_large_neighbour() -> None:
+    # Taken askew, a jaw would stand 3 mm within the neighbour's outline, on top of it.
+    thing = part(Shape.RECTANGLE, 50.0, (-76.9, -13.4), math.radians(6.1))
+    neighbour = part(Shape.RECTANGLE, 42.1, (-52.1, -58.4), math.radians(7.4))
+    blocked = grasps.obstacles([neighbour], (), thing.center, 200.0)
+    with pytest.raises(NoClearGrasp, match="no room"):
+        grasps.ways_to_take(thing, RX150.gripper, blocked, None)
+
+
 def test_the_jaws_stay_over_the_table_and_around_the_part() -> None:
     for height in (3.0, 10.0, 25.0):
         thing = part(Shape.SQUARE, 40.0, (0.0, 0.0), height=height)
