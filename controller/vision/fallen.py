@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 _NEAR, _FAR = 1.5, 6.0
 """How far to either side of an outline it is looked at, px of the searched image."""
-_SOFT = 0.45
+_SOFT = 0.52
 """Share of a step that lies within the nearer distance: of an edge in focus 0.75, of a camera's blurred one 0.55."""
 _POINTS = 48
 _LEAST = 8
@@ -29,11 +29,14 @@ _WIDE = 5
 
 def fallen_in(scene: Scene, outline: Floats) -> bool:
     """Whether an outline (N, 2), px, is that of a shadow, or a part of one, that goes on to the picture's border."""
-    return _soft_shade(scene, outline) and _reaches_border(scene, outline)
+    return soft_shade(scene, outline) and _reaches_border(scene, outline)
 
 
-def _soft_shade(scene: Scene, outline: Floats) -> bool:
-    """Whether an outline holds the table's colour, only darker, and most of its edge is soft."""
+def soft_shade(scene: Scene, outline: Floats) -> bool:
+    """Whether an outline (N, 2), px, holds the table's colour, only darker, and most of its edge is soft.
+
+    Within a shadow it may be darker on one side and lighter on another.
+    """
     distances = scene.factor * np.array([-_FAR, -_NEAR, _NEAR, _FAR])
     points = np.stack([outside(outline, distance, _POINTS) for distance in distances])
     limit = np.array(scene.image.shape[1::-1]) - 1.0
@@ -43,10 +46,10 @@ def _soft_shade(scene: Scene, outline: Floats) -> bool:
     deep, inner, outer, beyond = scene.differences(points[:, within])
     if shaded(scene, deep).mean() < 0.5:
         return False
-    near, far = inner - outer, deep - beyond
-    step = far.mean(axis=0)
-    # Along the mean step noise counts least.
-    return float(np.median(near @ step)) < _SOFT * float(np.median(far @ step))
+    # Steps of a shade lie along the table's colour; along that noise counts least.
+    table = scene.white.whitener @ scene.white.table_colour
+    near, far = (float(np.median(np.abs(step @ table))) for step in (inner - outer, deep - beyond))
+    return near < _SOFT * far
 
 
 def _reaches_border(scene: Scene, outline: Floats) -> bool:

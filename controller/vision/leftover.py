@@ -32,6 +32,7 @@ _BLUR = 2.0
 def leftovers(
     strength: NDArray[np.float32],
     found: Sequence[Found],
+    plain: Sequence[Found],
     factor: int,
     region: NDArray[np.uint8] | None,
     narrow: float,
@@ -42,17 +43,18 @@ def leftovers(
     Args:
         strength: ndarray of shape (H, W) of the searched image: how far the picture differs from the table.
         found: The known objects.
+        plain: Those of them that are certainly no shadow, which tell how clearly an object stands out.
         factor: How many times smaller the searched image is.
         region: ndarray of shape (H, W), dtype uint8: only where it is not 0; everywhere when None.
         narrow: Width of the narrowest patch that counts, px of the searched image.
         shadow: Of the N pixels set in a mask (H, W), which have the table's colour, only darker, (N,).
     """
-    if not found:
+    if not plain:
         return []
     covered = np.zeros(strength.shape, np.uint8)
     for item in found:
         cv2.fillPoly(covered, [_reduced(item.outline, factor)], (255,))
-    clear = [_clearness(strength, _reduced(item.face, factor)) for item in found]
+    clear = [_clearness(strength, _reduced(item.face, factor)) for item in plain]
     typical = float(np.quantile(clear, _FAINTER, method="lower"))
     free = (strength > _COLOURED * typical) & (cv2.dilate(covered, _disc(_BLUR)) == 0)
     if region is not None:

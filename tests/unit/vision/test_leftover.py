@@ -27,6 +27,9 @@ def square(x: float, y: float, side: float) -> Found:
     return Found(Shape.SQUARE, 1.0, corners, corners, corners.mean(axis=0), None, frozenset())
 
 
+KNOWN = [square(100.5, 100.5, 40.0)]
+
+
 def gray(where: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Everything has the table's colour."""
     return np.ones(np.count_nonzero(where), bool)
@@ -50,7 +53,7 @@ def table(*patches: tuple[int, int, int, int, float]) -> np.ndarray[tuple[int, i
     ],
 )
 def test_a_patch_as_strong_as_the_objects_is_one(patch: tuple[int, int, int, int, float], told: bool) -> None:
-    found = leftovers(table(patch), [square(100.5, 100.5, 40.0)], 2, None, 6.0, gray)
+    found = leftovers(table(patch), KNOWN, KNOWN, 2, None, 6.0, gray)
     assert bool(found) == told
     if told:
         (one,) = found
@@ -63,14 +66,14 @@ def test_a_patch_as_strong_as_the_objects_is_one(patch: tuple[int, int, int, int
 def test_a_faint_part_is_told_of_where_another_as_faint_is_known() -> None:
     """Two parts of one colour that touch may have no outline that fits; dyes differ in how clearly they stand out."""
     strength = table((61, 45, 14, 14, 60.0), (100, 40, 21, 21, 65.0))
-    known = [square(100.5, 100.5, 40.0), square(220.5, 100.5, 40.0)]
-    assert len(leftovers(strength, known, 2, None, 6.0, gray)) == 1
-    assert leftovers(strength, known[:1], 2, None, 6.0, gray) == []
+    known = [*KNOWN, square(220.5, 100.5, 40.0)]
+    assert len(leftovers(strength, known, known, 2, None, 6.0, gray)) == 1
+    assert leftovers(strength, KNOWN, KNOWN, 2, None, 6.0, gray) == []
 
 
 def test_only_the_region_counts() -> None:
     region = np.zeros((120, 160), np.uint8)
-    assert leftovers(table((61, 45, 14, 14, 90.0)), [square(100.5, 100.5, 40.0)], 2, region, 6.0, gray) == []
+    assert leftovers(table((61, 45, 14, 14, 90.0)), KNOWN, KNOWN, 2, region, 6.0, gray) == []
 
 
 def test_a_colour_that_no_shadow_has_tells_at_half_the_strength() -> None:
@@ -79,7 +82,7 @@ def test_a_colour_that_no_shadow_has_tells_at_half_the_strength() -> None:
     def left_half(where: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         return np.asarray(np.nonzero(where)[1] < 80)
 
-    (one,) = leftovers(strength, [square(100.5, 100.5, 40.0)], 2, None, 6.0, left_half)
+    (one,) = leftovers(strength, KNOWN, KNOWN, 2, None, 6.0, left_half)
     assert one.center == pytest.approx([220.5, 100.5], abs=2.0)
 
 
