@@ -23,7 +23,7 @@ from tests.benchmarks.fault_matrix.__main__ import fields
 from tests.benchmarks.fault_matrix.cases import CASES
 from tests.benchmarks.kills import run as run_kills
 from tests.benchmarks.open_cell import SEED, OpenCell, apart
-from tests.benchmarks.soak import run as soak
+from tests.benchmarks.soak.__main__ import run as soak
 
 
 @pytest.fixture(scope="module")
