@@ -12,7 +12,6 @@ from sim_backends.solids import Array, Colour, Solid, box, disc, prism
 BLACK: Colour = (52.0, 48.0, 46.0)
 SERVO: Colour = (74.0, 68.0, 66.0)
 METAL: Colour = (148.0, 142.0, 138.0)
-RUBBER: Colour = (86.0, 120.0, 40.0)
 PAPER: Colour = (236.0, 238.0, 238.0)
 
 LEFT, RIGHT = "finger_left", "finger_right"

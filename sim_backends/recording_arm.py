@@ -84,11 +84,6 @@ class RecordingArm:
         """The arm it pretends to be."""
         return self._description
 
-    @property
-    def energised(self) -> bool:
-        """Torque is on."""
-        return self._energised
-
     def open(self) -> None:
         """Connect; torque stays off."""
         self._raise_due(self._due("open"))

@@ -151,12 +151,8 @@ class RemoteTruth:
         """Let a fault happen to a servo or the adapter (see `Fault`), now; `heal` undoes it."""
         self._connection.ask("strike", {"fault": fault, "servo_id": servo_id})
 
-    def fault_rate(self, fault: str, rate: float) -> None:
-        """Let packets go wrong with this probability."""
-        self._connection.ask("fault_rate", {"fault": fault, "rate": rate})
-
     def heal(self) -> None:
-        """Undo `strike` and `fault_rate`."""
+        """Undo `strike`."""
         self._connection.ask("heal")
 
     def servo(self, servo_id: int) -> Header:

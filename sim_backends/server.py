@@ -170,11 +170,7 @@ class CellServer:
             case "strike":
                 fault, servo_id = Fault(asked["fault"]), asked["servo_id"]
                 line.call(lambda: line.bus.strike(fault, None if servo_id is None else int(servo_id)))
-            case "fault_rate":
-                fault, rate = Fault(asked["fault"]), float(asked["rate"])
-                line.call(lambda: line.bus.faults.set_rate(fault, rate))
             case "heal":
-                line.call(line.bus.faults.clear)
                 line.call(line.bus.heal)
             case "servo":
                 return line.call(lambda: self._servo(int(asked["servo_id"]))), b""

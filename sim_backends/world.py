@@ -82,7 +82,6 @@ class World:
         self.arm = arm
         self.bins = tuple(bins)
         self.parts = tuple(parts)
-        self._T_bins = T_base_table
         shape = arm_solids(arm, marker, marker.T_tool_marker if T_tool_marker is None else T_tool_marker)
         boxes = bin_solids(bins, T_base_table)
         self.solids: tuple[Solid, ...] = (

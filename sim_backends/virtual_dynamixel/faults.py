@@ -33,7 +33,6 @@ class Fault(StrEnum):
     DISCONNECT = "disconnect"
 
 
-ON_STATUS = (Fault.DROP, Fault.CORRUPT, Fault.TRUNCATE, Fault.DELAY, Fault.NOISE, Fault.WRONG_ID)
 ON_SERVO = (Fault.SILENT, Fault.REBOOT, Fault.OVERLOAD, Fault.SHOCK, Fault.UNDERVOLTAGE, Fault.OVERHEAT, Fault.ENCODER)
 
 

@@ -52,7 +52,6 @@ class Colour:
         lab: (L, a, b) in OKLab of the share of light it gives back.
         distance: How far from the nearest place of that name, in the palette's measure; below 0.1 is plain.
         second: Name of a second colour, or None.
-        second_lab: (L, a, b) of the second colour, or None.
         second_share: Share of the part that has the second colour.
     """
 
@@ -60,7 +59,6 @@ class Colour:
     lab: tuple[float, float, float]
     distance: float
     second: str | None = None
-    second_lab: tuple[float, float, float] | None = None
     second_share: float = 0.0
 
 
@@ -215,7 +213,7 @@ def _split(lab: Floats32, chosen: NDArray[np.intp], upper: NDArray[np.bool_]) ->
         if name != other and _two_paints(main[j], second[j]):
             share = 1.0 - float(count[j]) / SAMPLES
             share = min(share, 1.0 - share)
-            out.append((k, Colour(name, _triple(main[j]), float(apart[j]), other, _triple(second[j]), share)))
+            out.append((k, Colour(name, _triple(main[j]), float(apart[j]), other, share)))
     return out
 
 
