@@ -130,15 +130,19 @@ class PlaneMap:
         """The same camera over the plane z = `height` (mm)."""
         return PlaneMap(self.camera, self.T_table_camera, height)
 
-    def to_plane(self, pixels: ArrayLike) -> Array:
+    def to_plane(self, pixels: ArrayLike, heights: ArrayLike | None = None) -> Array:
         """Points (N, 2) in `table`, mm, where the rays through pixels (N, 2) meet the plane.
 
         A ray that never meets the plane in front of the camera gives nan.
+
+        Args:
+            pixels: ndarray of shape (N, 2), px.
+            heights: ndarray of shape (N,), mm: the plane each ray is to meet instead.
         """
         rays = self.camera.rays(pixels) @ self.T_table_camera[:3, :3].T
         origin = self.T_table_camera[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            scale = (self.height - origin[2]) / rays[:, 2]
+            scale = ((self.height if heights is None else np.asarray(heights)) - origin[2]) / rays[:, 2]
             scale[~(scale > 0.0)] = np.nan
             return np.asarray(origin[:2] + rays[:, :2] * scale[:, None])
 

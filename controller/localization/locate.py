@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import cv2
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from controller.domain import CellCalibration, Detection, LocatedObject, Shape
 from controller.geometry import wrap
-from controller.localization.prism import Noise, PrismFit, Silhouette, bounding_size, footprint
-from controller.localization.second_look import second_look
+from controller.localization.prism import Noise, PrismFit, bounding_size, footprint
+from controller.localization.prism_fit import Start, fit_prisms
+from controller.localization.second_look import second_looks
 
 Array = NDArray[np.float64]
 
@@ -23,9 +24,9 @@ Array = NDArray[np.float64]
 HALF_HEIGHT_SIGMA = 0.05
 #: Fewer outline points than this cannot carry a fit of six unknowns with anything left to judge it by.
 MIN_POINTS = 20
-#: Starts that are tried, as a share of the shape's period away from the detection's own direction: the fit
+#: Further starts that are tried, as a share of the shape's period away from the detection's own direction: the fit
 #: of a tall part may end in a local optimum.
-_TURNS = (0.0, 1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2)
+_TURNS = (1 / 6, -1 / 6, 1 / 3, -1 / 3, 1 / 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,67 +85,98 @@ def locate(
     """
     known = noise or Noise()
     objection = cache(partial(_objection, limits=limits or Limits()))
+    stated = [heights(detection) for detection in detections]
+    rough = _on_half_height(detections, calibration, stated)
+    verdicts: list[LocatedObject | str] = []
+    solid: dict[int, LocatedObject] = {}
+    for i, (detection, thing) in enumerate(zip(detections, rough, strict=True)):
+        verdict = _verdict(detection, calibration, thing, refine)
+        verdicts.append(verdict)
+        if refine and isinstance(verdict, LocatedObject) and detection.shape is not Shape.OTHER:
+            solid[i] = verdict
+    things = list(solid.values())
+    fits = _fits(things, calibration, known, objection)
+    fits = second_looks(list(zip(things, fits, strict=True)), calibration, known, objection)
+    for (i, thing), fit in zip(solid.items(), fits, strict=True):
+        verdicts[i] = objection(fit) or _located(thing, fit, calibration)
     objects: list[LocatedObject] = []
     refused: list[tuple[Detection, str]] = []
     in_the_way: list[LocatedObject] = []
-    for detection in detections:
-        height = heights(detection)
-        found = _locate_one(detection, calibration, height, refine, known, objection)
-        if not isinstance(found, str):
-            objects.append(found)
+    for detection, verdict, place in zip(detections, verdicts, rough, strict=True):
+        if isinstance(verdict, LocatedObject):
+            objects.append(verdict)
             continue
-        refused.append((detection, found))
-        if detection.frame.size == calibration.camera.image_size:
-            rough = _on_half_height(detection, calibration, height)
-            if rough is not None:
-                in_the_way.append(rough)
+        refused.append((detection, verdict))
+        if place is not None:
+            in_the_way.append(place)
     return Located(tuple(objects), tuple(refused), tuple(in_the_way))
 
 
-def _locate_one(
-    detection: Detection,
-    calibration: CellCalibration,
-    height: float,
-    refine: bool,
-    noise: Noise,
-    objection: Callable[[PrismFit], str | None],
+def _verdict(
+    detection: Detection, calibration: CellCalibration, rough: LocatedObject | None, refine: bool
 ) -> LocatedObject | str:
+    """Where a detection lies roughly, or why it is refused."""
     if "cut_by_border" in detection.flags:
         return "cut by the border of the picture"
     if detection.frame.size != calibration.camera.image_size:
         return f"a picture of {detection.frame.size} px, calibrated at {calibration.camera.image_size}"
-    rough = _on_half_height(detection, calibration, height)
     if rough is None:
         return "its rays do not meet the table"
-    if not refine or detection.shape is Shape.OTHER:
-        return rough
-    if len(detection.outline_px) < MIN_POINTS:
+    if refine and detection.shape is not Shape.OTHER and len(detection.outline_px) < MIN_POINTS:
         return f"only {len(detection.outline_px)} outline points"
-    fit = _fit(detection, calibration, rough, noise, objection)
-    fit = second_look(detection, calibration, fit, height, noise, objection)
-    reason = objection(fit)
-    if reason:
-        return reason
+    return rough
+
+
+def _located(rough: LocatedObject, fit: PrismFit, calibration: CellCalibration) -> LocatedObject:
+    """An object where a prism has been found."""
     spread = float(np.linalg.eigvalsh(fit.covariance)[-1])
-    size = bounding_size(detection.shape, fit.dimensions)
+    shape = rough.detection.shape
     # A height that the outline disputes moves the part along the line of sight.
-    doubt = _slant(calibration, fit.center) * abs(fit.height - height)
-    return LocatedObject(
-        detection=detection,
+    doubt = _slant(calibration, fit.center) * abs(fit.height - rough.height)
+    return replace(
+        rough,
         center=fit.center,
         yaw=fit.yaw,
-        size=size,
+        size=bounding_size(shape, fit.dimensions),
         height=fit.height,
-        footprint=footprint(detection.shape, fit.center, fit.yaw, fit.dimensions),
+        footprint=footprint(shape, fit.center, fit.yaw, fit.dimensions),
         sigma=math.sqrt(spread + calibration.sigma**2 + doubt**2),
-        calibration_id=calibration.calibration_id,
     )
 
 
-def _on_half_height(detection: Detection, calibration: CellCalibration, height: float) -> LocatedObject | None:
-    """The silhouette on the plane z = h/2, where parallax of top and foot cancel to first order."""
-    plane = calibration.plane(height / 2)
-    outline = plane.to_plane(detection.outline_px)
+def _on_half_height(
+    detections: Sequence[Detection], calibration: CellCalibration, heights: Sequence[float]
+) -> list[LocatedObject | None]:
+    """Silhouettes on the plane z = h/2, where parallax of top and foot cancel to first order.
+
+    None for one of another picture's size, and for one that has no place on the table.
+    """
+    usable = [i for i, item in enumerate(detections) if item.frame.size == calibration.camera.image_size]
+    out: list[LocatedObject | None] = [None] * len(detections)
+    if not usable:
+        return out
+    points = [np.concatenate([detections[i].outline_px, _direction(detections[i])]) for i in usable]
+    counts = [len(own) for own in points]
+    levels = np.repeat([heights[i] / 2.0 for i in usable], counts)
+    on_table = calibration.plane().to_plane(np.concatenate(points), levels)
+    for i, own in zip(usable, np.split(on_table, np.cumsum(counts)[:-1]), strict=True):
+        out[i] = _silhouette(detections[i], calibration, heights[i], own[:-2], own[-2:])
+    return out
+
+
+def _direction(detection: Detection) -> Array:
+    """Two points (2, 2), px, on both sides of a detection's centre, along its direction."""
+    reach = max(detection.size_px) / 2
+    angle = detection.angle or 0.0
+    # Counter-clockwise as displayed: the image's y runs down.
+    ahead = reach * np.array([math.cos(angle), -math.sin(angle)])
+    return np.asarray(np.asarray(detection.center_px) + np.array([-ahead, ahead]))
+
+
+def _silhouette(
+    detection: Detection, calibration: CellCalibration, height: float, outline: Array, ends: Array
+) -> LocatedObject | None:
+    """A detection on a plane, where its outline (N, 2) and `_direction`'s points lie there, mm."""
     if not np.isfinite(outline).all():
         return None
     following = np.concatenate([outline[1:], outline[:1]])
@@ -160,10 +192,14 @@ def _on_half_height(detection: Detection, calibration: CellCalibration, height: 
     size = (float(max(sides)), float(min(sides)))
     if detection.shape is Shape.CIRCLE:
         size = (2 * math.sqrt(area / math.pi),) * 2
+    period, yaw = detection.shape.period, None
+    if detection.angle is not None and period is not None:
+        back, front = ends.tolist()
+        yaw = wrap(math.atan2(front[1] - back[1], front[0] - back[0]), period)
     return LocatedObject(
         detection=detection,
         center=center,
-        yaw=_yaw(detection, calibration, height / 2),
+        yaw=yaw,
         size=size,
         height=height,
         footprint=outline,
@@ -172,47 +208,40 @@ def _on_half_height(detection: Detection, calibration: CellCalibration, height: 
     )
 
 
-def _yaw(detection: Detection, calibration: CellCalibration, level: float) -> float | None:
-    """The detection's direction carried over to the table."""
-    period = detection.shape.period
-    if detection.angle is None or period is None:
-        return None
-    reach = max(detection.size_px) / 2
-    # Counter-clockwise as displayed: the image's y runs down.
-    ahead = reach * np.array([math.cos(detection.angle), -math.sin(detection.angle)])
-    ends = np.asarray(detection.center_px) + np.array([-ahead, ahead])
-    back, front = calibration.plane(level).to_plane(ends)
-    return wrap(math.atan2(front[1] - back[1], front[0] - back[0]), period)
-
-
-def _fit(
-    detection: Detection,
+def _fits(
+    things: Sequence[LocatedObject],
     calibration: CellCalibration,
-    rough: LocatedObject,
     noise: Noise,
     objection: Callable[[PrismFit], str | None],
-) -> PrismFit:
-    """The best prism: from the detection's own direction, or from others when that one is not explained."""
-    shape, height = detection.shape, rough.height
-    silhouette = Silhouette(detection.outline_px, calibration.camera, calibration.T_table_camera)
-    first = rough.yaw or 0.0
+) -> list[PrismFit]:
+    """The best prism of each: from the detection's own direction, or from others when that one is not explained."""
+    fits = fit_prisms([_start(thing) for thing in things], calibration.camera, calibration.T_table_camera, noise)
+    open_ = [
+        i for i, (thing, fit) in enumerate(zip(things, fits, strict=True))
+        if thing.detection.shape.period is not None and objection(fit) is not None
+    ]  # fmt: skip
+    starts = [_start(things[i], turn) for i in open_ for turn in _TURNS]
+    turned = fit_prisms(starts, calibration.camera, calibration.T_table_camera, noise)
+    for k, i in enumerate(open_):
+        tried = [fits[i], *turned[k * len(_TURNS) : (k + 1) * len(_TURNS)]]
+        sound = [fit for fit in tried if objection(fit) is None]
+        fits[i] = sound[0] if sound else min(tried, key=lambda fit: fit.cost)
+    return fits
+
+
+def _start(thing: LocatedObject, turn: float = 0.0) -> Start:
+    """Where the fit of a prism starts, turned by a share of its shape's period."""
+    shape, size = thing.detection.shape, thing.size
     if shape is Shape.RECTANGLE:
-        dimensions: tuple[float, ...] = rough.size
+        dimensions: tuple[float, ...] = size
     elif shape is Shape.HEXAGON:
-        dimensions = (rough.size[0] / 2,)
+        dimensions = (size[0] / 2,)
     elif shape is Shape.CIRCLE:
-        dimensions = (rough.size[0],)
+        dimensions = (size[0],)
     else:
-        dimensions = ((rough.size[0] + rough.size[1]) / 2,)
-    best: PrismFit | None = None
-    for turn in (0.0,) if shape.period is None else _TURNS:
-        start = (*rough.center, first + turn * (shape.period or 0.0))
-        fit = silhouette.fit(shape, start, dimensions, height, noise)
-        if objection(fit) is None:
-            return fit
-        best = fit if best is None else min(best, fit, key=lambda one: one.cost)
-    assert best is not None
-    return best
+        dimensions = ((size[0] + size[1]) / 2,)
+    yaw = (thing.yaw or 0.0) + turn * (shape.period or 0.0)
+    return Start(thing.detection.outline_px, shape, (*thing.center, yaw), dimensions, thing.height)
 
 
 def _slant(calibration: CellCalibration, center: tuple[float, float]) -> float:

@@ -6,6 +6,8 @@ the outline it hands over runs between edges; the picture itself tells, once it 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -32,28 +34,41 @@ _MANY = 24
 _POINTS = np.array([-1.0, 0.0, 1.0]) / 3.0
 
 
-def remeasured(image: NDArray[np.uint8], foot: Array, top: Array, reach: float) -> Array:
-    """Outline (N, 2), px, on the edges nearest to a prism's silhouette; where there is none a piece is left out.
+def remeasured(image: NDArray[np.uint8], prisms: Sequence[tuple[Array, Array]], reach: float) -> list[Array]:
+    """Outlines (N, 2), px, on the edges nearest to prisms' silhouettes; where there is none a piece is left out.
 
     Args:
         image: ndarray of shape (H, W, 3), dtype uint8.
-        foot: ndarray of shape (K, 2), px: where the prism has its foot's corners.
-        top: ndarray of shape (K, 2), px: and those of its top face.
+        prisms: Where each prism has its foot's corners (V, 2), px, and those of its top face.
         reach: How far to either side is looked, px.
     """
-    hull = np.asarray(cv2.convexHull(np.vstack([foot, top]).astype(np.float32))[:, 0], np.float64)
-    middle, along, normal = _pieces(hull, np.roll(hull, -1, axis=0))
+    hulls = [cv2.convexHull(np.vstack(prism).astype(np.float32))[:, 0].astype(np.float64) for prism in prisms]
+    middle, along, normal, owner = _pieces([_thinned(hull, np.roll(hull, -1, axis=0)) for hull in hulls])
     at, found = _beside(image, middle, along, normal, reach)
-    pieces = middle[:, None] + _POINTS[:, None] * along[:, None] + at[:, None, None] * normal[:, None]
-    return np.asarray(pieces[found].reshape(-1, 2))
+    places = middle[:, None] + _POINTS[:, None] * along[:, None] + at[:, None, None] * normal[:, None]
+    return [places[found & (owner == k)].reshape(-1, 2) for k in range(len(prisms))]
 
 
-def misfit(image: NDArray[np.uint8], foot: Array, top: Array) -> float:
-    """How far the edges in the picture lie beside those of a prism that a camera sees, px in the mean.
+def misfits(image: NDArray[np.uint8], prisms: Sequence[tuple[Array, Array]]) -> Array:
+    """How far (K,) the edges in the picture lie beside those of prisms that a camera sees, px in the mean.
 
     The border between top face and a side counts too: without it a prism as large as the whole silhouette would do.
     What has no edge near it counts as `_FAR`.
+
+    Args:
+        image: ndarray of shape (H, W, 3), dtype uint8.
+        prisms: K of them, as for `remeasured`.
     """
+    if not prisms:
+        return np.empty(0)
+    middle, along, normal, owner = _pieces([_edges(foot, top) for foot, top in prisms])
+    at, found = _beside(image, middle, along, normal, _FAR)
+    off = np.bincount(owner, np.where(found, np.abs(at), _FAR), len(prisms))
+    return np.asarray(off / np.maximum(np.bincount(owner, minlength=len(prisms)), 1))
+
+
+def _edges(foot: Array, top: Array) -> tuple[Array, Array]:
+    """Starts and ends (L, 2), px, of the edges that a camera sees of a prism."""
     next_foot, next_top = (np.concatenate([corners[1:], corners[:1]]) for corners in (foot, top))
     side = next_foot - foot
     normal = side[:, ::-1] * (1.0, -1.0) / np.hypot(side[:, 0], side[:, 1])[:, None]
@@ -61,9 +76,7 @@ def misfit(image: NDArray[np.uint8], foot: Array, top: Array) -> float:
     strip = (normal * (foot - top)).sum(axis=1)
     border, ground = (strip <= 0.0) | (strip > _NARROWEST), strip > 0.0
     starts = np.concatenate([top[border], foot[ground]])
-    ends = np.concatenate([next_top[border], next_foot[ground]])
-    at, found = _beside(image, *_pieces(starts, ends), _FAR)
-    return float(np.where(found, np.abs(at), _FAR).mean())
+    return _thinned(starts, np.concatenate([next_top[border], next_foot[ground]]))
 
 
 def _beside(
@@ -81,20 +94,32 @@ def _beside(
     return _nearest(slope, across[1:-1], reach)
 
 
-def _pieces(starts: Array, ends: Array) -> tuple[Array, Array, Array]:
-    """Middles, vectors along and unit normals (M, 2) of the pieces of lines (K, 2) to (K, 2)."""
+def _thinned(starts: Array, ends: Array) -> tuple[Array, Array]:
+    """Lines (K, 2) to (K, 2); of a circle's many short ones every so manieth, made longer."""
+    if len(starts) <= _MANY:
+        return starts, ends
+    side = ends - starts
+    step = max(1, int(_PIECE / max(float(np.median(np.hypot(side[:, 0], side[:, 1]))), 1e-9)))
+    return starts[::step], starts[::step] + step * side[::step]
+
+
+def _pieces(lines: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Middles, vectors along and unit normals (M, 2) of the pieces of lines, and which (M,) of the sets each is of.
+
+    Args:
+        lines: Sets of lines: where they start and where they end, (L, 2) each.
+    """
+    starts, ends = (np.concatenate(part) for part in zip(*lines, strict=True))
     side = ends - starts
     length = np.hypot(side[:, 0], side[:, 1])
-    if len(side) > _MANY:  # a circle's many short sides: every so manieth is enough
-        step = max(1, int(_PIECE / max(float(np.median(length)), 1e-9)))
-        starts, side, length = starts[::step], side[::step] * step, length[::step] * step
     counts = np.maximum((length // _PIECE).astype(int), (length > _PIECE / 2).astype(int))
     which = np.repeat(np.arange(len(side)), counts)
     first = np.repeat(np.cumsum(counts) - counts, counts)
     along = side[which] / counts[which][:, None]
     middle = starts[which] + (np.arange(len(which)) - first + 0.5)[:, None] * along
     normal = along[:, ::-1] * (1.0, -1.0) / np.hypot(along[:, 0], along[:, 1])[:, None]
-    return middle, along, normal
+    owner = np.repeat(np.arange(len(lines)), [len(own) for own, _ in lines])
+    return middle, along, normal, owner[which]
 
 
 def _nearest(slope: Array, across: Array, reach: float) -> tuple[Array, NDArray[np.bool_]]:

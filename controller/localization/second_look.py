@@ -7,31 +7,31 @@ the stated height is there: of several candidates the one whose edges it shows b
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.domain import CellCalibration, Detection, Shape
+from controller.domain import CellCalibration, LocatedObject, Shape
 from controller.geometry import invert, transform
-from controller.localization.prism import Noise, PrismFit, Silhouette, footprint
-from controller.localization.remeasure import misfit, remeasured
+from controller.localization.prism import Noise, PrismFit, footprint
+from controller.localization.prism_fit import Start, fit_prisms
+from controller.localization.remeasure import misfits, remeasured
 
 Array = NDArray[np.float64]
+Prism = tuple[LocatedObject, PrismFit]
+"""What was seen, with its stated height, and a prism that may be it."""
 
 #: A fitted height this many deviations off the stated one speaks of an outline that runs beside the part, ...
 _STRAINED = 1.0
 #: ... and this many of another height, or of no such prism.
-TORN = 3.0
+_TORN = 3.0
 #: A prism whose edges lie this far beside those in the picture is doubtful, px in the mean: five times what a good
 #: one has by noise and blur, ...
 _DOUBTFUL = 0.25
 #: ... and another must be this much nearer to them.
 _MARGIN = 0.1
-#: Prisms that differ by less than this, mm, are the same.
-_SAME = 0.1
 #: How far about a silhouette its edges are looked for, px, first and then nearer.
 _REACHES = (6.0, 4.0, 2.5)
 #: Sides narrower than this, px, are within reach of where the outline has them.
@@ -40,69 +40,84 @@ _NARROWEST = 3.0
 _LEAST_POINTS = 20
 
 
-def second_look(
-    detection: Detection,
+def second_looks(
+    prisms: Sequence[Prism],
     calibration: CellCalibration,
-    fit: PrismFit,
-    height: float,
     noise: Noise,
     objection: Callable[[PrismFit], str | None],
-) -> PrismFit:
-    """The prism that the picture bears out best: the given one, unless it is doubtful and another one is better.
+) -> list[PrismFit]:
+    """The prisms that the picture bears out best: the given ones, unless one is doubtful and another one is better.
 
     Args:
-        detection: What was seen.
+        prisms: What was seen in one picture, and the prism on the outline of each.
         calibration: Of the cell.
-        fit: The prism on the outline.
-        height: Stated, mm.
         noise: What is known about outlines and heights.
         objection: Why a fit is not good enough, or None.
     """
-    image = detection.frame.image
-    beside = misfit(image, *corners(detection, calibration, fit))
-    sound = objection(fit) is None
-    strain = abs(fit.height - height) / noise.height
-    if sound and strain <= _STRAINED and beside <= _DOUBTFUL:
-        return fit
-    best, least = fit, beside - _MARGIN if sound and strain <= TORN else np.inf
-    settled: list[PrismFit] = []
-    for start in _starts(detection, calibration, fit, height, noise):
-        found = _settled(detection, calibration, start, height, noise, settled)
-        if found is None:
-            continue
-        settled.append(found)
-        if objection(found) is not None or abs(found.height - height) > TORN * noise.height:
-            continue
-        value = misfit(image, *corners(detection, calibration, found))
-        if value < least:
-            best, least = found, value
-        if least < _MARGIN:
-            break
+    if not prisms:
+        return []
+    image = prisms[0][0].detection.frame.image
+    best = [fit for _, fit in prisms]
+    limit = [0.0] * len(prisms)
+    for i, ((thing, fit), beside) in enumerate(zip(prisms, misfits(image, corners(prisms, calibration)), strict=True)):
+        sound, strain = objection(fit) is None, abs(fit.height - thing.height) / noise.height
+        if not sound or strain > _STRAINED or beside > _DOUBTFUL:
+            limit[i] = float(beside) - _MARGIN if sound and strain <= _TORN else np.inf
+    # What the plainest start explains needs no other.
+    for nearby in (_of_height, _elsewhere):
+        doubtful = [i for i, most in enumerate(limit) if most >= _MARGIN]
+        owners, starts = nearby([prisms[i] for i in doubtful], calibration, noise)
+        owners, found = _settled([doubtful[k] for k in owners], starts, calibration, noise)
+        for i, prism, value in zip(owners, found, misfits(image, corners(found, calibration)), strict=True):
+            thing, fit = prism
+            if limit[i] < _MARGIN or value >= limit[i] or abs(fit.height - thing.height) > _TORN * noise.height:
+                continue
+            if objection(fit) is None:
+                best[i], limit[i] = fit, float(value)
     return best
 
 
-def corners(detection: Detection, calibration: CellCalibration, fit: PrismFit) -> tuple[Array, Array]:
-    """Pixels (K, 2) of a fitted prism's corners on the table, and of those above them."""
-    feet = footprint(detection.shape, fit.center, fit.yaw, fit.dimensions)
-    levels = np.repeat([0.0, fit.height], len(feet))
-    points = np.column_stack([np.concatenate([feet, feet]), levels])
+def corners(prisms: Sequence[Prism], calibration: CellCalibration) -> list[tuple[Array, Array]]:
+    """Pixels (V, 2) of each prism's corners on the table, and of those above them."""
+    if not prisms:
+        return []
+    feet = [footprint(thing.detection.shape, fit.center, fit.yaw, fit.dimensions) for thing, fit in prisms]
+    both = [foot for foot in feet for _ in range(2)]
+    counts = [len(foot) for foot in both]
+    points = np.empty((sum(counts), 3))
+    points[:, :2] = np.concatenate(both)
+    points[:, 2] = np.repeat([level for _, fit in prisms for level in (0.0, fit.height)], counts)
     pixels = calibration.camera.project(transform(invert(calibration.T_table_camera), points))
-    return pixels[: len(feet)], pixels[len(feet) :]
+    parts = np.split(pixels, np.cumsum(counts)[:-1])
+    return list(zip(parts[::2], parts[1::2], strict=True))
 
 
-def _starts(
-    detection: Detection, calibration: CellCalibration, fit: PrismFit, height: float, noise: Noise
-) -> Iterator[PrismFit]:
-    """Prisms of the stated height near the fitted one."""
-    yield replace(fit, height=height)
+def _of_height(
+    prisms: Sequence[Prism], calibration: CellCalibration, noise: Noise
+) -> tuple[list[int], list[Prism]]:
+    """The prisms, were they of the stated height: whose each is, and they."""
+    del calibration, noise
+    return list(range(len(prisms))), [(thing, replace(fit, height=thing.height)) for thing, fit in prisms]
+
+
+def _elsewhere(
+    prisms: Sequence[Prism], calibration: CellCalibration, noise: Noise
+) -> tuple[list[int], list[Prism]]:
+    """Other prisms of the stated height near the given ones: whose each is, and they."""
+    owners, starts = list(range(len(prisms))), []
     # The same top face: it is what vision found, and the foot what it guessed.
-    above = calibration.plane(fit.height).to_pixels(np.array([fit.center]))
-    place = calibration.plane(height).to_plane(above)[0]
-    yield replace(fit, height=height, center=(float(place[0]), float(place[1])))
-    if detection.shape is Shape.CIRCLE:
-        return
-    for outline in _moved_out(detection.outline_px, *corners(detection, calibration, fit)):
-        yield _fitted(outline, detection, calibration, fit, height, noise)
+    for thing, fit in prisms:
+        above = calibration.plane(fit.height).to_pixels(np.array([fit.center]))
+        x, y = calibration.plane(thing.height).to_plane(above)[0].tolist()
+        starts.append((thing, replace(fit, height=thing.height, center=(x, y))))
+    moved: list[int] = []
+    outlines: list[Array] = []
+    for k, ends in enumerate(corners(prisms, calibration)):
+        detection = prisms[k][0].detection
+        if detection.shape is not Shape.CIRCLE:
+            outlines += _moved_out(detection.outline_px, *ends)
+            moved += [k] * (len(outlines) - len(moved))
+    return owners + moved, starts + _fitted([prisms[k] for k in moved], outlines, calibration, noise)
 
 
 def _moved_out(outline: Array, foot: Array, top: Array) -> Iterator[Array]:
@@ -125,34 +140,31 @@ def _moved_out(outline: Array, foot: Array, top: Array) -> Iterator[Array]:
 
 
 def _settled(
-    detection: Detection,
-    calibration: CellCalibration,
-    start: PrismFit,
-    height: float,
-    noise: Noise,
-    known: Sequence[PrismFit],
-) -> PrismFit | None:
-    """The prism on the edges of the picture near a start; None when they are too few or lead to a known one."""
-    found = start
+    owners: Sequence[int], starts: Sequence[Prism], calibration: CellCalibration, noise: Noise
+) -> tuple[list[int], list[Prism]]:
+    """The prisms on the edges of the picture near some starts, and whose each is; without those on too few of them."""
+    found = list(zip(owners, starts, strict=True))
     for reach in _REACHES:
-        held = replace(found, height=height)
-        outline = remeasured(detection.frame.image, *corners(detection, calibration, held), reach)
-        if len(outline) < _LEAST_POINTS:
-            return None
-        found = _fitted(outline, detection, calibration, found, height, noise)
-        if any(_same(found, other) for other in known):
-            return None
-    return found
-
-
-def _same(one: PrismFit, other: PrismFit) -> bool:
-    turned = abs((one.yaw or 0.0) - (other.yaw or 0.0)) * max(one.dimensions)
-    grown = max(abs(a - b) for a, b in zip(one.dimensions, other.dimensions, strict=True))
-    return max(math.dist(one.center, other.center), turned, grown) < _SAME
+        if not found:
+            break
+        held = [(thing, replace(fit, height=thing.height)) for _, (thing, fit) in found]
+        image = held[0][0].detection.frame.image
+        outlines = remeasured(image, corners(held, calibration), reach)
+        enough = [len(outline) >= _LEAST_POINTS for outline in outlines]
+        found = [one for one, use in zip(found, enough, strict=True) if use]
+        outlines = [outline for outline, use in zip(outlines, enough, strict=True) if use]
+        fits = _fitted([prism for _, prism in found], outlines, calibration, noise)
+        found = [(owner, prism) for (owner, _), prism in zip(found, fits, strict=True)]
+    return [owner for owner, _ in found], [prism for _, prism in found]
 
 
 def _fitted(
-    outline: Array, detection: Detection, calibration: CellCalibration, start: PrismFit, height: float, noise: Noise
-) -> PrismFit:
-    silhouette = Silhouette(outline, calibration.camera, calibration.T_table_camera)
-    return silhouette.fit(detection.shape, (*start.center, start.yaw or 0.0), start.dimensions, height, noise)
+    prisms: Sequence[Prism], outlines: Sequence[Array], calibration: CellCalibration, noise: Noise
+) -> list[Prism]:
+    """Prisms brought onto other outlines."""
+    starts = [
+        Start(outline, thing.detection.shape, (*fit.center, fit.yaw or 0.0), fit.dimensions, thing.height)
+        for (thing, fit), outline in zip(prisms, outlines, strict=True)
+    ]
+    fits = fit_prisms(starts, calibration.camera, calibration.T_table_camera, noise)
+    return [(thing, fit) for (thing, _), fit in zip(prisms, fits, strict=True)]

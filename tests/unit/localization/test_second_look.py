@@ -14,7 +14,7 @@ from controller.domain import CellCalibration, Detection, Frame, Shape
 from controller.geometry import angle_difference
 from controller.localization.locate import locate
 from controller.localization.prism import footprint
-from controller.localization.remeasure import misfit, remeasured
+from controller.localization.remeasure import misfits, remeasured
 from tests.unit.localization.prisms import cell, detection
 
 Array = NDArray[np.float64]
@@ -101,10 +101,10 @@ def test_a_good_outline_is_left_alone_and_an_empty_picture_says_nothing() -> Non
     calibration = cell()
     foot, top = corners(Shape.SQUARE, calibration)
     good = picture(foot, top)
-    assert misfit(good, foot, top) < 0.2
+    assert misfits(good, [(foot, top)]) < 0.2
     empty = np.full((720, 1280, 3), 120, np.uint8)
-    assert misfit(empty, foot, top) == 3.0
-    assert len(remeasured(empty, foot, top, 6.0)) == 0
+    assert misfits(empty, [(foot, top)]) == 3.0
+    assert [len(outline) for outline in remeasured(empty, [(foot, top)], 6.0)] == [0]
     (thing,) = locate([seen(Shape.SQUARE, dense(hull(foot, top)), empty)], calibration, lambda _: HEIGHT).objects
     assert math.dist(thing.center, PLACE) < 0.05
 
