@@ -98,6 +98,7 @@ class TargetBook:
         self._given_up: list[_GivenUp] = []
         self._previous: list[tuple[float, float]] = []
         self._doubtful: list[tuple[float, float]] = []
+        self._pushed: list[LocatedObject] = []
         self._strays = 0
 
     @property
@@ -150,7 +151,11 @@ class TargetBook:
                 target.lost = False
         if self._strays:
             self._strays -= 1
-            doubtful |= {i for i in free if not _near(seen[i].center, self._previous, SAME_PLACE_MM)}
+            doubtful |= {
+                i
+                for i in free
+                if not _near(seen[i].center, self._previous, SAME_PLACE_MM) and not self._is_pushed(seen[i])
+            }
         self._doubtful = [seen[i].center for i in doubtful]
         named = [
             dataclasses.replace(nameless(thing) if i in doubtful else thing, target_id=ids.get(i, ""))
@@ -158,6 +163,7 @@ class TargetBook:
         ]
         gone = [t for t in self._open.values() if t.attempts and t.target_id not in ids.values()]
         self._previous = [thing.center for thing in seen]
+        self._pushed = self._pushed if self._strays else []
         for old in self._given_up:
             old.unseen = 0 if any(old.is_(thing) for thing in seen) else old.unseen + 1
         self._given_up = [old for old in self._given_up if old.unseen < GONE_AFTER]
@@ -188,6 +194,16 @@ class TargetBook:
         target = Target(target_id, dataclasses.replace(located, target_id=target_id), now)
         self._open[target_id] = target
         return target
+
+    def pushed(self, thing: LocatedObject, by: Point) -> None:
+        """A thing of the last look was pushed by (dx, dy) mm: where it lies now it is no stray."""
+        center = thing.center[0] + by[0], thing.center[1] + by[1]
+        self._pushed.append(dataclasses.replace(thing, center=center))
+
+    def _is_pushed(self, thing: LocatedObject) -> bool:
+        return any(
+            _alike(thing, pushed) and math.dist(thing.center, pushed.center) <= SAME_PLACE_MM for pushed in self._pushed
+        )
 
     def close(self, target: Target) -> None:
         """Forget a target that has its outcome."""

@@ -30,16 +30,19 @@ BIN_WALL = 4.0  # thickness that is kept clear of, mm
 _OUTLINE_STEP = 2.0  # mm between the points of an obstacle's outline; below MIN_CLEARANCE nothing slips through
 _RING_STEP = 8.0  # mm between the rings of points within it, less than a jaw is thick: none comes down between them
 _CIRCLE_DIRECTIONS = 12
-# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle is held however it lies, the
-# jaws before its corner (physics study of 12 picks a cell, friction 0.3 to 0.8).
+# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle is held however it lies, if
+# its corners lie well before the jaws (physics study of 12 picks a cell, friction 0.3 to 0.8).
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
 # Beyond these the jaws do not bring it flush but hold two opposite corners, which slip out at friction 0.3.
 _CORNER_TURN = {Shape.SQUARE: math.radians(26.0), Shape.RECTANGLE: math.radians(40.0)}
 # Jaws of 18 mm that stand this far beside the middle still have it between them: the part does not pivot. What is
-# round touches them with one line only, which must stay well off their edge.
+# round touches them with one line only, which must stay well off their edge, and so does a triangle's corner.
 _SHIFTS = (4.0, -4.0, 7.0, -7.0)
-_ROUND_SHIFTS = (4.0, -4.0)
+_LINE_SHIFTS = (4.0, -4.0)
+# A corner stays before a jaw so far from its edge, or so far beyond it that the jaw bears on the side alone: near the
+# edge it slips off while the part is carried (physics: 222 picks of triangles turned by 1 to 27 deg).
+_INSIDE_EDGE, _BEYOND_EDGE = 3.0, 1.5
 _SHIFT_QUALITY = 0.8
 _FLUSH_TURN = math.radians(20.0)  # turned by more, shifted jaws might not bring a part flush
 
@@ -87,28 +90,37 @@ def sides(part: LocatedObject) -> tuple[Side, ...]:
     return tuple(Side(direction % math.pi, quality) for direction, quality in offers)
 
 
-def oblique_sides(part: LocatedObject) -> tuple[Side, ...]:
+def oblique_sides(part: LocatedObject, across: float) -> tuple[Side, ...]:
     """Directions a little off the flats, for when no flat is free: the closing jaws turn the part flush.
 
-    Empty for what has no flats.
+    Args:
+        part: What to take; what has no flats offers none.
+        across: Width of a jaw, mm.
     """
     if part.shape in (Shape.CIRCLE, Shape.OTHER):
         return ()
     return tuple(
-        _side(part, side.direction + turn, _OBLIQUE_QUALITY)
+        _side(part, side.direction + turn, _OBLIQUE_QUALITY, across)
         for side in sides(part)
         for turn in (-_OBLIQUE_TURN, _OBLIQUE_TURN)
     )
 
 
-def shifted_sides(offers: Sequence[Side], part: LocatedObject) -> tuple[Side, ...]:
-    """The same directions with the jaws beside the part's middle, for when a neighbour leaves no room before it."""
+def shifted_sides(offers: Sequence[Side], part: LocatedObject, across: float) -> tuple[Side, ...]:
+    """The same directions with the jaws beside the part's middle, for when a neighbour leaves no room before it.
+
+    Args:
+        offers: The directions.
+        part: What to take.
+        across: Width of a jaw, mm.
+    """
     rounded = part.shape is Shape.CIRCLE
     flat = [side for side in offers if rounded or _turned(part, side.direction) <= _FLUSH_TURN]
-    shifts = _ROUND_SHIFTS if rounded else _SHIFTS
-    return tuple(
+    shifts = _LINE_SHIFTS if rounded or part.shape is Shape.TRIANGLE else _SHIFTS
+    found = (
         replace(side, quality=_SHIFT_QUALITY * side.quality, shift=side.shift + by) for by in shifts for side in flat
     )
+    return tuple(side for side in found if part.shape is not Shape.TRIANGLE or _corners_hold(part, side, across))
 
 
 def _turned(part: LocatedObject, direction: float) -> float:
@@ -116,30 +128,46 @@ def _turned(part: LocatedObject, direction: float) -> float:
     return min(abs(angle_difference(direction, side.direction, math.pi)) for side in sides(part))
 
 
-def fixed_side(part: LocatedObject, direction: float, corners: bool = False) -> Side | None:
+def fixed_side(part: LocatedObject, direction: float, across: float, corners: bool = False) -> Side | None:
     """The only direction an arm without wrist roll can close along, or None when it would not hold.
 
     Args:
         part: What to take.
         direction: rad about z of `table`.
+        across: Width of a jaw, mm.
         corners: Whether two opposite corners are to be held too, which may slip.
     """
     nearest = min(sides(part), key=lambda side: abs(angle_difference(direction, side.direction, math.pi)))
     turn = 0.0 if part.shape is Shape.CIRCLE else _turned(part, direction)
     if not corners and turn > _CORNER_TURN.get(part.shape, math.pi):
         return None
-    return _side(part, direction, nearest.quality * (1.0 - turn / math.pi))
+    return _side(part, direction, nearest.quality * (1.0 - turn / math.pi), across)
 
 
-def _side(part: LocatedObject, direction: float, quality: float) -> Side:
+def _side(part: LocatedObject, direction: float, quality: float, across: float) -> Side:
     """A side that a part may lie askew to, the jaws where they do not squeeze it out."""
-    direction %= math.pi
+    side = Side(direction % math.pi, quality)
     if part.shape is not Shape.TRIANGLE:
-        return Side(direction, quality)
-    # It turns about its corner, which must not slide off the jaw's edge.
+        return side
+    # One jaw turns it about its corner until the other bears on all of the side; turned further, two corners hold it.
+    corner, other = _corners(part, side.direction)
+    turning = replace(side, shift=corner)
+    return turning if _corners_hold(part, turning, across) else replace(side, shift=(corner + other) / 2.0)
+
+
+def _corners(part: LocatedObject, direction: float) -> tuple[float, float]:
+    """How far left of a triangle's middle its foremost corner and the one before the other jaw lie, mm."""
     away = part.footprint - np.array(part.center)
-    corner = away[np.argmax(np.abs(away @ np.array([math.cos(direction), math.sin(direction)])))]
-    return Side(direction, quality, float(corner @ np.array([-math.sin(direction), math.cos(direction)])))
+    along = away @ np.array([math.cos(direction), math.sin(direction)])
+    beside = away @ np.array([-math.sin(direction), math.cos(direction)])
+    first, second = sorted((int(along.argmax()), int(along.argmin())), key=lambda k: -abs(float(along[k])))
+    return float(beside[first]), float(beside[second])
+
+
+def _corners_hold(part: LocatedObject, side: Side, across: float) -> bool:
+    """Whether no corner of a triangle comes before a jaw near the jaw's edge, where it would slip off."""
+    first, second = (abs(beside - side.shift) - across / 2.0 for beside in _corners(part, side.direction))
+    return first <= -_INSIDE_EDGE and not -_INSIDE_EDGE < second < _BEYOND_EDGE
 
 
 def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
@@ -194,16 +222,17 @@ def ways_to_take(
     Raises:
         NoClearGrasp: There is none; the message says why on the flats.
     """
+    across = gripper.jaw_size[1]
     if tangent is None:
-        offers, last = sides(part), oblique_sides(part)
+        offers, last = sides(part), oblique_sides(part, across)
     else:
-        side = fixed_side(part, tangent, corners)
+        side = fixed_side(part, tangent, across, corners)
         if side is None:
             place = f"{part.shape} at ({part.center[0]:.0f}, {part.center[1]:.0f}) mm"
             raise NoClearGrasp(f"{place}: lies turned so that the jaws would not hold it", "turn the part")
         offers, last = (side,), ()
     failure: NoClearGrasp | None = None
-    for kind in (offers, shifted_sides(offers, part), last):
+    for kind in (offers, shifted_sides(offers, part, across), last):
         try:
             if kind:
                 return choose(part, kind, gripper, blocked)

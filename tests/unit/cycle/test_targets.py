@@ -135,3 +135,14 @@ def test_what_turns_up_unlike_the_part_that_was_dropped_is_no_known_shape() -> N
         assert [item.shape for item in named] == [Shape.OTHER, Shape.CIRCLE]
     named, _ = book.identify([stray, old, thing(-100, 50)])  # laid down by somebody later on
     assert [item.shape for item in named] == [Shape.OTHER, Shape.CIRCLE, Shape.SQUARE]
+
+
+def test_what_was_pushed_far_is_not_taken_for_the_part_that_was_dropped() -> None:
+    book = TargetBook()
+    circle = thing(0, 0, Shape.CIRCLE)
+    target = book.choose(thing(100, 0), 0.0)
+    target.attempts, target.lost = 1, True
+    book.identify([circle])
+    book.pushed(circle, (0.0, 30.0))
+    named, _ = book.identify([thing(2, 33, Shape.CIRCLE), thing(5, 60, Shape.RECTANGLE)])
+    assert [item.shape for item in named] == [Shape.CIRCLE, Shape.OTHER]
