@@ -100,7 +100,7 @@ class Chooser:
             try:
                 plan = planner.plan_pick(
                     thing, others, bin_, self._stock.drop_point(bin_), start,
-                    pile=self._stock.pile(bin_), view=self._view, climb=climb, corners=corners,
+                    view=self._view, climb=climb, corners=corners,
                 )  # fmt: skip
             except PlanError as error:
                 if isinstance(error, NoClearGrasp):

@@ -79,6 +79,7 @@ class Handlers:
         view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
         self._stock = Stock(rig.config, self._filled)
         self._motions.adopt(rig, view)
+        self._motions.planner = rig.planner.filled(self._stock.piles())
         self._holding.adopt(rig)
         self.looker = Looker(rig, self._motions.pose_at)
         self._memory = Memory()
@@ -140,7 +141,7 @@ class Handlers:
         in_the_way = (*found.in_the_way, *self._memory.look((*things, *found.in_the_way), self._frame))
         self._chooser.offer(named, in_the_way, self._motions.positions, self._outcomes.concluded)
         self.left = len(named) + len(found.refused)
-        self._motions.planner = self._concerns.review(named, self._stock)
+        self._motions.planner = self._concerns.review(named, self._stock).filled(self._stock.piles())
         return "located" if self._chooser.queue else self._emptied()
 
     def pick(self) -> str:
@@ -195,6 +196,7 @@ class Handlers:
         else:
             self.left -= not mistaken
             self._stock.placed(plan.bin, target.located)
+            self._motions.planner = self._motions.planner.filled(self._stock.piles())
             rejected = plan.bin.name == self._rig.config.sorting.otherwise
             result = Result.REJECTED if rejected else Result.PLACED
             what = "; not what was to be taken, which still lies there" if mistaken else ""
@@ -267,7 +269,7 @@ class Handlers:
             return plan
         target.plan = motions.planner.plan_diverted(
             plan, rejects, self._stock.drop_point(rejects), self._rig.arm.state().positions,
-            pile=self._stock.pile(rejects), view=motions.view,
+            view=motions.view,
         )  # fmt: skip
         motions.follow(target.plan.carry)
         return target.plan

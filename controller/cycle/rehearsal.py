@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
+from typing import Self
 
 from controller.cycle.rig import Observer
 from controller.domain import (
@@ -23,8 +24,8 @@ from controller.domain import (
 )
 from controller.errors import CameraEnded
 from controller.geometry import pose
+from controller.motion.overhead import TALLEST_PART
 from controller.motion.planner import Planner
-from controller.motion.postures import TALLEST_PART
 from controller.ports import Arm, Camera
 
 AIR_SPEED = 0.25
@@ -183,6 +184,12 @@ class AirPlanner(Planner):
         raised = pose(z=TALLEST_PART + AIR_CLEARANCE) @ calibration.T_base_table
         self._above = Planner(arm, replace(calibration, T_base_table=raised), bins, speed=speed, part_mass=0.0)
 
+    def filled(self, piles: Mapping[str, float]) -> Self:
+        """As `Planner.filled`."""
+        over = super().filled(piles)
+        over._above = self._above.filled(piles)
+        return over
+
     def plan_pick(
         self,
         target: LocatedObject,
@@ -191,7 +198,6 @@ class AirPlanner(Planner):
         drop: Point,
         start: Array,
         *,
-        pile: float | None = None,
         finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
@@ -199,5 +205,5 @@ class AirPlanner(Planner):
     ) -> PickPlan:
         """As `Planner.plan_pick`, above the parts."""
         return self._above.plan_pick(
-            target, others, bin, drop, start, pile=pile, finish=finish, view=view, climb=climb, corners=corners
+            target, others, bin, drop, start, finish=finish, view=view, climb=climb, corners=corners
         )

@@ -82,6 +82,10 @@ class Stock:
         """Height over the table that what lies in a bin already may reach, mm."""
         return pile_of(bin_, self._filled[bin_.name], self._longest.get(bin_.name, 0.0))
 
+    def piles(self) -> dict[str, float]:
+        """`pile` of every bin, by its name."""
+        return {bin_.name: self.pile(bin_) for bin_ in self._config.bin_values()}
+
     def placed(self, bin_: Bin, thing: LocatedObject) -> None:
         """One more part lies in a bin."""
         self._filled[bin_.name] += 1

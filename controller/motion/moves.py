@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controller.domain import ArmDescription, Array, Trajectory
+from controller.domain import ArmDescription, Array, Point, Trajectory
 from controller.errors import LimitViolation
+from controller.geometry import invert, transform
 from controller.motion import ways
 from controller.motion.gate import Gate
 from controller.motion.kinematics import chain, points
+from controller.motion.overhead import Overhead
 from controller.motion.path import Leg, join
 from controller.motion.trajectory import generate
 
@@ -28,14 +30,14 @@ class Moves:
         arm: The arm.
         gate: What it may not do.
         offsets: ndarray of shape (J,): calibrated joint offsets, rad.
-        clear: Height of the grasp point (mm, `base`) that passes over everything.
+        overhead: How high it passes.
         speed: Share of the arm's speed limits, in (0, 1].
     """
 
     arm: ArmDescription
     gate: Gate
     offsets: Array
-    clear: float
+    overhead: Overhead
     speed: float = 1.0
 
     def start(self, measured: Array) -> Array:
@@ -89,7 +91,8 @@ class Moves:
             LimitViolation: The gate refuses every way tried.
         """
         failure: LimitViolation | None = None
-        for legs, corners in ways.between(self.arm, self.clear, q0, goal):
+        clear = self.overhead.between(self.below(q0), self.below(goal))
+        for legs, corners in ways.between(self.arm, clear, q0, goal):
             trajectory = self.calm(name, legs, corners, CALM_SPEED)
             try:
                 self.gate.check(trajectory, q0)
@@ -105,7 +108,7 @@ class Moves:
 
         Args:
             q0: ndarray of shape (J,): where it begins, rad.
-            down: The stroke.
+            down: The stroke, from a height that passes over everything on the way.
             rounded: mm of the stroke that the way there is rounded into.
             opening: Clear opening of the jaws, mm.
             climb: mm that the way begins straight up.
@@ -114,10 +117,11 @@ class Moves:
             LimitViolation: The gate refuses every way tried.
         """
         failure: LimitViolation | None = None
+        clear = float(points(self.arm, down.start)[3, 2])
         found = (
-            ways.between(self.arm, self.clear, q0, down.start)
+            ways.between(self.arm, clear, q0, down.start)
             if climb <= 0.0
-            else ways.climbing(self.arm, self.clear, q0, down.start, climb)
+            else ways.climbing(self.arm, clear, q0, down.start, climb)
         )
         for legs, corners in found:
             trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
@@ -129,6 +133,11 @@ class Moves:
                 return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
         assert failure is not None
         raise failure
+
+    def below(self, q: Array) -> Point:
+        """(x, y) in `table` of the grasp point in a pose (J,), mm."""
+        x, y, _ = transform(invert(self.overhead.T_base_table), points(self.arm, q)[3]).tolist()
+        return x, y
 
     def _among_parts(self, approach: Trajectory, down: Leg, rounded: float) -> float:
         """When an approach has come `rounded` mm down from the top of its descent, s."""

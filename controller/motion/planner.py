@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Self
@@ -29,8 +29,9 @@ from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
 from controller.motion.kinematics import points
 from controller.motion.moves import Moves
+from controller.motion.overhead import CLEARANCE, PART_BELOW_TIPS, Overhead
 from controller.motion.path import Leg, line, straight, stroke
-from controller.motion.postures import CLEARANCE, PART_BELOW_TIPS, Postures, Stop
+from controller.motion.postures import Postures, Stop
 from controller.motion.view import discs, hides
 
 PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
@@ -68,7 +69,7 @@ class Planner:
         self._eye = transform(self._T, np.asarray(calibration.T_table_camera, np.float64)[:3, 3])
         self.gate = Gate(arm, self._T, self.bins, workspace(self.bins, self._T, arm), self._eye)
         self._postures = Postures(arm, self.gate, calibration.error_map, calibration.jaws)
-        self._moves = Moves(arm, self.gate, self._offsets, self._postures.clear, speed)
+        self._moves = Moves(arm, self.gate, self._offsets, Overhead(arm, self._T, self.bins), speed)
 
     @property
     def turns_jaws(self) -> bool:
@@ -82,6 +83,17 @@ class Planner:
         slow._moves = replace(self._moves, speed=slow.speed)
         return slow
 
+    def filled(self, piles: Mapping[str, float]) -> Self:
+        """The same planner over bins that hold something.
+
+        Args:
+            piles: Height over the table that what lies in a bin may reach, mm, by the bin's name; where missing
+                unknown, up to the brim.
+        """
+        over = copy(self)
+        over._moves = replace(self._moves, overhead=replace(self._moves.overhead, piles=dict(piles)))
+        return over
+
     # --- what the cycle asks for --------------------------------------------------------------------------
 
     def plan_pick(
@@ -92,7 +104,6 @@ class Planner:
         drop: Point,
         start: Array,
         *,
-        pile: float | None = None,
         finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
@@ -106,7 +117,6 @@ class Planner:
             bin: Where to put it.
             drop: (x, y) in `table` where the part's centre is let go, mm.
             start: ndarray of shape (J,): measured joint angles, rad.
-            pile: Height over the table of what lies in the bin already, mm; None: unknown, up to the brim.
             finish: ndarray of shape (J,): where the retreat ends, rad; the ready pose when None.
             view: ndarray of shape (N, 2): outline in `table` (mm) that the camera must see after the retreat.
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
@@ -126,14 +136,14 @@ class Planner:
         failure: PlanError | None = None
         for choice in choices:
             try:
-                return self._plan(target, bin, drop, q0, choice.grasp, others, pile, finish, view, climb)
+                return self._plan(target, bin, drop, q0, choice.grasp, others, finish, view, climb)
             except (Unreachable, LimitViolation) as error:
                 failure = failure or error
         assert failure is not None
         raise failure
 
     def plan_diverted(
-        self, plan: PickPlan, bin: Bin, drop: Point, start: Array, *, pile: float | None, view: Array | None
+        self, plan: PickPlan, bin: Bin, drop: Point, start: Array, *, view: Array | None
     ) -> PickPlan:
         """The same part taken on to another bin, from over the one it was carried to.
 
@@ -142,7 +152,6 @@ class Planner:
             bin: The other bin.
             drop: (x, y) in `table` where the part's centre is let go, mm.
             start: ndarray of shape (J,): measured joint angles, rad.
-            pile: See `plan_pick`.
             view: See `plan_pick`.
 
         Raises:
@@ -151,9 +160,11 @@ class Planner:
         """
         q0, grasp = self._moves.start(start), plan.grasp
         rest = (plan.target.center[0] - grasp.center[0], plan.target.center[1] - grasp.center[1])
-        place = self._postures.drop(bin, drop, grasp, self._moves.start(plan.carry.positions[0]), rest, pile)
-        out, inside = stroke(self.arm, place.low, place.rise), self._inside(place)
-        rise = self._postures.clear - points(self.arm, q0)[3, 2]
+        clear = max(self._clear(self._moves.below(q0), drop), self._clear(drop))
+        held = self._moves.start(plan.carry.positions[0])
+        place = self._postures.drop(bin, drop, grasp, held, rest, self._pile(bin), clear)
+        out, inside = stroke(self.arm, place.low, place.rise), self._inside(place, clear)
+        rise = clear - points(self.arm, q0)[3, 2]
         down = self._moves.approach(q0, out.reversed(), place.rise - inside, grasp.opening, max(rise, 1.0))
         carry = replace(down, name="carry", narrow=None)
         _, retreat = self._retreat(place, out, inside, None, view)
@@ -306,18 +317,19 @@ class Planner:
         q0: Array,
         grasp: Grasp,
         others: Sequence[LocatedObject],
-        pile: float | None,
         finish: Array | None,
         view: Array | None,
         climb: float,
     ) -> PickPlan:
-        pick = self._postures.over(grasp.center, grasp.height, None, grasp.direction)
+        there, away = self._clear(self._moves.below(q0), grasp.center), self._clear(grasp.center, drop)
+        pick = self._postures.over(grasp.center, grasp.height, None, grasp.direction, max(there, away))
         rest = (target.center[0] - grasp.center[0], target.center[1] - grasp.center[1])
-        place = self._postures.drop(bin, drop, grasp, pick.low, rest, pile)
+        clear = max(away, self._clear(drop))
+        place = self._postures.drop(bin, drop, grasp, pick.low, rest, self._pile(bin), clear)
         tall = max([target.height, *(other.height for other in others), 0.0])
         # From here down the jaws are among the parts: exactly vertical.
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)
-        inside = self._inside(place)
+        inside = self._inside(place, clear)
         out, in_ = stroke(self.arm, pick.low, pick.rise), stroke(self.arm, place.low, place.rise)
         approach = self._moves.approach(q0, out.reversed(), pick.rise - straight, grasp.opening, climb)
         carry = self._moves.along(
@@ -331,10 +343,23 @@ class Planner:
         self.gate.check_moves((carry, retreat), approach.positions[-1], grasp.opening)
         return plan
 
-    def _inside(self, place: Stop) -> float:
-        """How far the arm rises from a place in a bin until it is over the walls, mm."""
+    def _pile(self, bin: Bin) -> float | None:
+        return self._moves.overhead.piles.get(bin.name)
+
+    def _clear(self, first: Point, last: Point | None = None) -> float:
+        """Height of the grasp point that passes over everything from one place of `table` to another, mm.
+
+        Args:
+            first: (x, y) of the one, mm.
+            last: Of the other; below the ready pose when None.
+        """
+        ready = self._moves.below(np.array(self.arm.ready))
+        return self._moves.overhead.between(first, ready if last is None else last)
+
+    def _inside(self, place: Stop, clear: float) -> float:
+        """How far the arm rises from a place in a bin until it is over the walls and the bins beside it, mm."""
         height = float(points(self.arm, place.low)[3, 2])
-        return min(max(self._postures.clear - CLEARANCE - height, 5.0), place.rise)
+        return min(max(clear - CLEARANCE - height, 5.0), place.rise)
 
     def _retreat(
         self, place: Stop, out: Leg, inside: float, finish: Array | None, view: Array | None
@@ -353,7 +378,8 @@ class Planner:
         gripper = self.arm.gripper
         opening = gripper.opening[0]
         height = grasps.grasp_height(push.moved, gripper)
-        stop = self._postures.over(push.start, height, None, push.direction)
+        clear = self._clear(self._moves.below(q0), push.start)
+        stop = self._postures.over(push.start, height, None, push.direction, clear)
         tall = max([target.height, *(other.height for other in others)])
         rounded = stop.rise - min(tall + PART_BELOW_TIPS + gripper.jaw_depth - height + 2.0, stop.rise)
         approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)

@@ -14,7 +14,6 @@ import numpy as np
 from controller.domain import ArmDescription, Array, Bin, ErrorMap, Grasp, Point
 from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
-from controller.motion import grasps
 from controller.motion.gate import WALL_MARGIN, Gate
 from controller.motion.kinematics import (
     FACING_UP,
@@ -26,6 +25,7 @@ from controller.motion.kinematics import (
     rotation,
     solutions,
 )
+from controller.motion.overhead import PART_BELOW_TIPS, Overhead
 from controller.motion.path import speed_limits
 
 # Beyond the top-down reach the tool may lean outwards, steepest first; flatter than 65 deg the fingers' backs
@@ -33,9 +33,6 @@ from controller.motion.path import speed_limits
 PITCHES = tuple(math.radians(deg) for deg in (90.0, 85.0, 80.0, 75.0, 70.0, 65.0))
 # The vertical stroke at part and bin. Lifts of 30 to 80 mm cost the same to 3 %; 60 clears every wall used.
 LIFT = 60.0
-CLEARANCE = 10.0  # mm over walls and parts in transit
-TALLEST_PART = 30.0  # mm: assumed to lie where nothing was seen
-PART_BELOW_TIPS = grasps.TIP_HEIGHT
 SETTLING = 3.0  # mm between the lowest corner of the jaws and what the gate asks over a wall
 FALL = 8.0  # mm that a part may fall onto what lies in the bin
 MIN_BEND = math.radians(8.0)
@@ -58,9 +55,6 @@ class Postures:
         gate: Knows where the table lies and what the jaws fit into.
         error_map: What the tool comes down beside its aim, where that is known.
         jaws: (y, z) of the middle of the jaws beside its place in the drawing, in `tool`, mm.
-
-    Attributes:
-        clear: Height of the grasp point over the table (mm) at which jaw tips and a held part pass over everything.
     """
 
     def __init__(
@@ -72,8 +66,7 @@ class Postures:
         self._jaws = np.array([0.0, *jaws])
         self._T = gate.T_base_table
         self._yaw = math.atan2(self._T[1, 0], self._T[0, 0])
-        highest = max([TALLEST_PART, *(bin_.height for bin_ in gate.bins)])
-        self.clear = highest + CLEARANCE + PART_BELOW_TIPS + arm.gripper.jaw_depth
+        self._walls = Overhead(arm, self._T, gate.bins).walls
 
     def azimuth(self, point: Point) -> float:
         """Direction of the arm's plane when the tool is at a point of `table` (mm), rad about z of `base`."""
@@ -84,7 +77,14 @@ class Postures:
         """Closing direction of an arm without wrist roll at a point of `table` (mm), rad about z of `table`."""
         return self.azimuth(point) + math.pi / 2 - self._yaw
 
-    def over(self, point: Point, height: float, rolls: Sequence[float] | None, direction: float = 0.0) -> Stop:
+    def over(
+        self,
+        point: Point,
+        height: float,
+        rolls: Sequence[float] | None,
+        direction: float = 0.0,
+        clear: float | None = None,
+    ) -> Stop:
         """The pose at a place of `table` from above and the one `LIFT` over it or higher.
 
         Args:
@@ -92,6 +92,7 @@ class Postures:
             height: z of the grasp point, the middle of the jaws, in `table`, mm.
             rolls: Rolls to choose from; None: those that close along `direction` (rad, `table`).
             direction: See `rolls`.
+            clear: Height of the upper pose at least (see `Overhead`), mm; over walls and parts when None.
 
         Raises:
             Unreachable: The message says why.
@@ -99,7 +100,7 @@ class Postures:
         arm = self._arm
         aim = point if self._error_map is None else self._error_map.aim(point)
         middle = transform(self._T, [*aim, height])
-        rise = max(LIFT, self.clear - height)
+        rise = max(LIFT, (self._walls if clear is None else clear) - height)
         if rolls is None:
             rolls = roll_for(arm, self.azimuth(point), direction + self._yaw) or (0.0,)
         roll = min(rolls, key=abs)
@@ -120,7 +121,14 @@ class Postures:
         )
 
     def drop(
-        self, bin: Bin, drop: Point, grasp: Grasp | None, held: Array, rest: Point, pile: float | None
+        self,
+        bin: Bin,
+        drop: Point,
+        grasp: Grasp | None,
+        held: Array,
+        rest: Point,
+        pile: float | None,
+        clear: float | None = None,
     ) -> Stop:
         """The pose that lets the part go over `drop`, its centre there.
 
@@ -131,6 +139,7 @@ class Postures:
             held: ndarray of shape (J,): the posture it was gripped in, rad.
             rest: Part's centre minus grasp point when it was gripped, `table`, mm.
             pile: Height of what lies in the bin, or None: unknown, up to the brim.
+            clear: See `over`.
 
         Raises:
             Unreachable: The message says why.
@@ -151,18 +160,18 @@ class Postures:
                 place = drop
                 for _ in range(2):
                     # The part hangs beside the grasp point and turns with the tool, which turns with the waist.
-                    stop = self.over(place, over, (roll,))
+                    stop = self.over(place, over, (roll,), clear=clear)
                     turn = closing_direction(stop.low) - held_yaw
                     c, s = math.cos(turn), math.sin(turn)
                     place = (drop[0] - c * rest[0] + s * rest[1], drop[1] - s * rest[0] - c * rest[1])
                 if deep < over:
-                    stop = self.over(place, deep, (roll,))
+                    stop = self.over(place, deep, (roll,), clear=clear)
                 fits = deep < over and self._gate.jaws_inside(bin, stop.low, opening)
                 if not fits:
-                    stop = self.over(place, over, (roll,))
+                    stop = self.over(place, over, (roll,), clear=clear)
                     # A tool that leans out has one jaw lower than the other.
                     if (short := brim - self._gate.lowest(stop.low, opening)) > 0.0:
-                        stop = self.over(place, over + short, (roll,))
+                        stop = self.over(place, over + short, (roll,), clear=clear)
             except Unreachable as error:
                 failure = failure or error
                 continue

@@ -70,7 +70,7 @@ class Table:
         bin_ = self._planner.bins[0]
         others = [other for other in self.left if other is not thing]
         try:
-            self._planner.plan_pick(thing, others, bin_, bin_.center, self._ready, pile=0.0)
+            self._planner.plan_pick(thing, others, bin_, bin_.center, self._ready)
         except NoClearGrasp:
             return False
         except PlanError:

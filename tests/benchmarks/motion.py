@@ -51,7 +51,7 @@ def cycles(count: int) -> tuple[float, float]:
     """Whole picks, each from where the last one ended: (median planning of all three moves, ms; jerk's share)."""
     rng = np.random.default_rng(11)
     boxes = bins()
-    planner = Planner(RX150, calibration(), boxes)
+    planner = Planner(RX150, calibration(), boxes).filled({box.name: 0.0 for box in boxes})
     q = np.array(RX150.ready)
     planning, motion, jerk = [], [], []
     for k in range(count):
@@ -59,7 +59,7 @@ def cycles(count: int) -> tuple[float, float]:
         target = part(PARTS[k % 5], rng.uniform(34.0, 45.0), at(radius, azimuth), rng.uniform(0.0, 6.28))
         box = boxes[int(rng.integers(len(boxes)))]
         start = time.process_time()
-        plan = planner.plan_pick(target, (), box, box.center, q, pile=0.0, view=AREA)
+        plan = planner.plan_pick(target, (), box, box.center, q, view=AREA)
         planning.append((time.process_time() - start) * 1e3)
         motion.append([move.duration for move in plan.trajectories])
         for move in plan.trajectories:

@@ -89,7 +89,7 @@ class Interrupted:
         x, y, _ = transform(invert(self.bench.config.table.T_base_table()), place)
         thing = part(Shape.CIRCLE, 38.0, (x, y))
         box = self.planner.bins[number % len(self.planner.bins)]
-        plan = self.planner.plan_pick(thing, (), box, box.center, arm.state().positions, pile=0.0)
+        plan = self.planner.filled({box.name: 0.0}).plan_pick(thing, (), box, box.center, arm.state().positions)
         if number % 2 or self._load:
             arm.follow(plan.approach)
             return plan.carry

@@ -13,7 +13,7 @@ from controller.domain import Frame
 from controller.errors import CameraEnded, NoClearGrasp
 from controller.geometry import invert, transform
 from controller.motion import kinematics
-from controller.motion.postures import TALLEST_PART
+from controller.motion.overhead import TALLEST_PART
 from sim_backends.recording_arm import RecordingArm
 from sim_backends.virtual_clock import VirtualClock
 from tests.unit.motion.scene import RX150, bins, calibration, scatter

@@ -92,7 +92,8 @@ def test_a_turned_table_is_followed() -> None:
 def test_the_known_pile_decides_how_deep_a_part_is_let_go() -> None:
     thing = part(Shape.SQUARE, 36.0, at(200.0, 10.0))
     box = BINS[1]
-    plans = [PLANNER.plan_pick(thing, (), box, box.center, READY, pile=pile) for pile in (0.0, 30.0, None)]
+    piles: tuple[dict[str, float], ...] = ({box.name: 0.0}, {box.name: 30.0}, {})
+    plans = [PLANNER.filled(known).plan_pick(thing, (), box, box.center, READY) for known in piles]
     heights = [tool_way(plan, 1)[-1, 2] for plan in plans]
     assert heights[0] < heights[1] <= heights[2]
     # empty bin: the part, 4 mm below the tips, falls 8 mm
@@ -101,7 +102,26 @@ def test_the_known_pile_decides_how_deep_a_part_is_let_go() -> None:
     assert heights[2] - RX150.gripper.jaw_depth > box.height
     # beside a wall the opened jaws would not fit: over the walls, though the bin is empty
     edge = (box.center[0] + 30.0, box.center[1] + 30.0)
-    assert tool_way(PLANNER.plan_pick(thing, (), box, edge, READY, pile=0.0), 1)[-1, 2] - 15.0 > box.height
+    plan = PLANNER.filled({box.name: 0.0}).plan_pick(thing, (), box, edge, READY)
+    assert tool_way(plan, 1)[-1, 2] - 15.0 > box.height
+
+
+@pytest.mark.parametrize("radius", [160.0, 200.0, 250.0])
+def test_jaws_and_what_they_hold_pass_over_what_stands_out_of_a_bin_on_the_way(radius: float) -> None:
+    thing = part(Shape.SQUARE, 36.0, at(radius, 10.0))
+    near, far = BINS[0], BINS[2]
+    reach = max(near.size) / 2.0 + RX150.gripper.opening[1] / 2.0 + RX150.gripper.jaw_size[0]
+    low = {}
+    for pile in (near.height, 80.0):
+        planner = PLANNER.filled({near.name: pile, far.name: 0.0})
+        plan = planner.plan_pick(thing, (), far, far.center, READY)
+        back = planner.plan_pick(thing, (), far, far.center, plan.carry.positions[-1], climb=36.0)
+        for name, way in (("carry", tool_way(plan, 1)), ("approach", tool_way(back, 0))):
+            over = (np.abs(way[:, :2] - near.center) < reach).all(axis=1)
+            low[name] = float(way[over, 2].min()) - RX150.gripper.jaw_depth
+            # the part hangs 4 mm below the tips
+            assert low[name] - 4.0 > pile
+    assert low["carry"] < 80.0 + 30.0  # and no higher than need be
 
 
 def test_a_part_beyond_the_top_down_reach_is_taken_leaning_out() -> None:
@@ -151,7 +171,8 @@ def test_wherever_a_plan_is_stopped_the_arm_gets_home_and_parks(name: str) -> No
         things = scatter(rng, 3)
         box = BINS[int(rng.integers(6))]
         try:
-            plan = planner.plan_pick(things[0], things[1:], box, box.center, np.array(arm.ready), pile=0.0)
+            over = planner.filled({box.name: 0.0})
+            plan = over.plan_pick(things[0], things[1:], box, box.center, np.array(arm.ready))
         except NoClearGrasp:
             continue
         for trajectory in plan.trajectories:
