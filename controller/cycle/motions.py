@@ -10,6 +10,7 @@ from controller.cycle.holding import RELEASES
 from controller.cycle.rig import Rig
 from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
 from controller.errors import MotionTimeout, PartHeld
+from controller.motion.grasps import release_opening
 from controller.motion.planner import Planner
 
 _FALL_MM = 8.0
@@ -146,15 +147,17 @@ class Motions:
         return self.follow(approach, opening, out_of_bin)
 
     def let_go(self, grasp: Grasp) -> None:
-        """Open the jaws, and again if they keep what is between them.
+        """Open the jaws a little, and as wide as they came if they keep what is between them.
 
         Raises:
             PartHeld: They still do.
         """
+        opening = release_opening(grasp, self._rig.arm.state().opening)
         for _ in range(RELEASES):
-            kept = proof.kept(self.grip(grasp.opening), grasp)
+            kept = proof.kept(self.grip(opening), grasp)
             if kept is None:
                 return
+            opening = grasp.opening
         arm = self._rig.arm.description.name
         raise PartHeld(arm, "let go", kept or "", "take the part out of the jaws, then controller resume")
 

@@ -21,6 +21,8 @@ from controller.geometry import angle_difference
 TIP_HEIGHT = 4.0
 # Room between an open jaw and the part on each side: generous first, then what a tight place allows.
 OPENING_MARGINS = (5.0, 2.5)
+# Room on each side of a part that is let go: a bin has no more to spare beside it, and the jaws arrive within 1 mm.
+RELEASE_MARGIN = 3.0
 # What has no known shape may bulge below the outline that is seen from above.
 _UNKNOWN_MARGIN = 15.0
 # A jaw may not come nearer to anything else than this: arm and localisation errors together.
@@ -245,6 +247,16 @@ def ways_to_take(
 def grasp_height(part: LocatedObject, gripper: Gripper) -> float:
     """Height (z) of the grasp point at a part, the jaw tips just over the table, mm."""
     return min(TIP_HEIGHT, part.height / 2.0) + gripper.jaw_depth
+
+
+def release_opening(grasp: Grasp, held: float = 0.0) -> float:
+    """Clear opening at which a part is let go, mm.
+
+    Args:
+        grasp: How it was taken.
+        held: Clear opening of the jaws that hold it, mm.
+    """
+    return min(max(grasp.width, held) + 2.0 * RELEASE_MARGIN, grasp.opening)
 
 
 def reach_about(part: LocatedObject, gripper: Gripper) -> float:

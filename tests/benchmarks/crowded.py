@@ -22,6 +22,7 @@ from controller.config.cell import load_cell
 from controller.cycle import proof
 from controller.domain import LocatedObject, NudgePlan, PickPlan
 from controller.errors import NoClearGrasp, PlanError
+from controller.motion.grasps import release_opening
 from controller.motion.planner import Planner
 from controller.service.manual import by_ruler
 from drivers.arm.dynamixel import DynamixelArm
@@ -107,7 +108,7 @@ class Table:
         if proof.refusal(report, plan.grasp, plan.target.sigma) is None:
             self.found["held"] += 1
             arm.follow(plan.carry)
-            arm.grip(plan.grasp.opening)
+            arm.grip(release_opening(plan.grasp))
             arm.follow(plan.retreat)
         else:
             arm.grip(plan.grasp.opening)
