@@ -198,12 +198,11 @@ class AirPlanner(Planner):
         drop: Point,
         start: Array,
         *,
-        finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
         corners: bool = False,
     ) -> PickPlan:
         """As `Planner.plan_pick`, above the parts."""
         return self._above.plan_pick(
-            target, others, bin, drop, start, finish=finish, view=view, climb=climb, corners=corners
+            target, others, bin, drop, start, view=view, climb=climb, corners=corners
         )

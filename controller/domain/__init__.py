@@ -31,7 +31,6 @@ from controller.domain.picking import (
     Outcome,
     PickPlan,
     Result,
-    Waypoint,
 )
 from controller.domain.seeing import (
     Descriptors,
@@ -72,5 +71,4 @@ __all__ = [
     "Shape",
     "Trajectory",
     "TruePart",
-    "Waypoint",
 ]

@@ -34,14 +34,6 @@ class Grasp:
     flush: float
 
 
-@dataclass(frozen=True, slots=True)
-class Waypoint:
-    """A named pose the tool passes: (x, y, z) in `table`, mm."""
-
-    name: str
-    position: tuple[float, float, float]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PickPlan:
     """Everything that will move for one target, approved as a whole before anything does.
@@ -53,7 +45,6 @@ class PickPlan:
     target: LocatedObject
     bin: Bin
     grasp: Grasp
-    waypoints: tuple[Waypoint, ...]
     approach: Trajectory
     carry: Trajectory
     retreat: Trajectory

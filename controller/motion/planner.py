@@ -21,7 +21,6 @@ from controller.domain import (
     PickPlan,
     Point,
     Trajectory,
-    Waypoint,
 )
 from controller.errors import LimitViolation, PlanError, Unreachable
 from controller.geometry import invert, transform
@@ -104,7 +103,6 @@ class Planner:
         drop: Point,
         start: Array,
         *,
-        finish: Array | None = None,
         view: Array | None = None,
         climb: float = 0.0,
         corners: bool = False,
@@ -117,7 +115,6 @@ class Planner:
             bin: Where to put it.
             drop: (x, y) in `table` where the part's centre is let go, mm.
             start: ndarray of shape (J,): measured joint angles, rad.
-            finish: ndarray of shape (J,): where the retreat ends, rad; the ready pose when None.
             view: ndarray of shape (N, 2): outline in `table` (mm) that the camera must see after the retreat.
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
                 sooner than in the ready pose, and as near to the next part.
@@ -136,7 +133,7 @@ class Planner:
         failure: PlanError | None = None
         for choice in choices:
             try:
-                return self._plan(target, bin, drop, q0, choice.grasp, others, finish, view, climb)
+                return self._plan(target, bin, drop, q0, choice.grasp, others, view, climb)
             except (Unreachable, LimitViolation) as error:
                 failure = failure or error
         assert failure is not None
@@ -167,7 +164,7 @@ class Planner:
         rise = clear - points(self.arm, q0)[3, 2]
         down = self._moves.approach(q0, out.reversed(), place.rise - inside, grasp.opening, max(rise, 1.0))
         carry = replace(down, name="carry", narrow=None)
-        _, retreat = self._retreat(place, out, inside, None, view)
+        retreat = self._retreat(place, out, inside, view)
         self.gate.check_moves((retreat,), carry.positions[-1], grasp.opening)
         return replace(plan, bin=bin, carry=carry, retreat=retreat)
 
@@ -317,7 +314,6 @@ class Planner:
         q0: Array,
         grasp: Grasp,
         others: Sequence[LocatedObject],
-        finish: Array | None,
         view: Array | None,
         climb: float,
     ) -> PickPlan:
@@ -338,8 +334,8 @@ class Planner:
             [(pick.rise - straight, ways.CORNER), (ways.CORNER, place.rise - inside)],
             payload=(0.0, self.part_mass),
         )
-        goal, retreat = self._retreat(place, in_, inside, finish, view)
-        plan = PickPlan(target, bin, grasp, self._waypoints(pick, place, goal), approach, carry, retreat)
+        retreat = self._retreat(place, in_, inside, view)
+        plan = PickPlan(target, bin, grasp, approach, carry, retreat)
         self.gate.check_moves((carry, retreat), approach.positions[-1], grasp.opening)
         return plan
 
@@ -361,16 +357,13 @@ class Planner:
         height = float(points(self.arm, place.low)[3, 2])
         return min(max(clear - CLEARANCE - height, 5.0), place.rise)
 
-    def _retreat(
-        self, place: Stop, out: Leg, inside: float, finish: Array | None, view: Array | None
-    ) -> tuple[Array, Trajectory]:
-        """Out of a bin, `inside` mm of it between its walls; where it ends, and the way."""
-        if view is not None and not hides(self.arm, place.high, self._eye, self._flat(view)):
-            goal, legs, corners = place.high, [out], []
-        else:
-            goal = np.array(self.arm.ready) if finish is None else np.asarray(finish, np.float64)
-            legs, corners = [out, line(self.arm, place.high, goal)], [(place.rise - inside, ways.CORNER)]
-        return goal, self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
+    def _retreat(self, place: Stop, out: Leg, inside: float, view: Array | None) -> Trajectory:
+        """Out of a bin, `inside` mm of it between its walls, and to the ready pose where the camera needs it."""
+        legs, corners = [out], []
+        if view is None or hides(self.arm, place.high, self._eye, self._flat(view)):
+            legs.append(line(self.arm, place.high, np.array(self.arm.ready)))
+            corners.append((place.rise - inside, ways.CORNER))
+        return self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
 
     def _nudge(
         self, target: LocatedObject, push: nudges.Push, others: Sequence[LocatedObject], q0: Array, climb: float
@@ -392,15 +385,6 @@ class Planner:
         share = push.travel / math.hypot(*push.by)
         return NudgePlan(
             target, push.moved, (push.by[0] * share, push.by[1] * share), opening, approach, shove, retreat
-        )
-
-    def _waypoints(self, pick: Stop, place: Stop, finish: Array) -> tuple[Waypoint, ...]:
-        T_table_base = invert(self._T)
-        names = ("above part", "part", "above part", "above bin", "bin", "above bin", "finish")
-        poses = np.array([pick.high, pick.low, pick.high, place.high, place.low, place.high, finish])
-        way = transform(T_table_base, points(self.arm, poses)[:, 3])
-        return tuple(
-            Waypoint(name, (float(p[0]), float(p[1]), float(p[2]))) for name, p in zip(names, way, strict=True)
         )
 
     def _flat(self, outline: Array) -> Array:

@@ -47,7 +47,7 @@ def target(target_id: str = "t1", *, yaw: float | None = math.radians(30.0)) -> 
 def plan(target_id: str = "t1") -> PickPlan:
     grasp = Grasp((12.0, -41.0), 11.0, math.radians(60.0), 39.5, 52.0, 4.5, 39.5)
     bin_ = Bin("left", (0.0, 200.0), (90.0, 90.0), 35.0, 20)
-    return PickPlan(target(target_id), bin_, grasp, (), _MOVE, _MOVE, _MOVE)
+    return PickPlan(target(target_id), bin_, grasp, _MOVE, _MOVE, _MOVE)
 
 
 def outcome(target_id: str = "t1", result: Result = Result.PLACED, *, attempts: int = 1) -> Outcome:
