@@ -55,6 +55,7 @@ class Hypothesis:
         cost: Clipped distance of the edges, 0 (all on the outline) to 1.
         inliers: Share of rays with an edge on the outline.
         size: Root of the outline's area.
+        top: It was not fitted, but is where the top face would be within a silhouette.
     """
 
     region: int
@@ -63,6 +64,7 @@ class Hypothesis:
     cost: float
     inliers: float
     size: float
+    top: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

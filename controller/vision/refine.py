@@ -78,6 +78,7 @@ def refine(
     maps: LocalMaps,
     index: Sequence[int],
     blur: float,
+    known: Sequence[float] | None = None,
 ) -> list[Refined | None]:
     """Outlines refined on the pixels; None for one that runs away or leaves nothing to see.
 
@@ -89,6 +90,7 @@ def refine(
         maps: The local coordinates.
         index: Which object of `maps` each outline belongs to.
         blur: Expected blur, px.
+        known: Shares of them that are known to be seen elsewhere: one that shows no more at the first look is dropped.
     """
     if not families:
         return []
@@ -106,8 +108,11 @@ def refine(
         batch.q[rows], batch.blur[rows] = at.q, at.blur
         far = _travelled(at, state) > _NEAR
         far |= np.minimum(4.0 * at.blur, 0.3 * size[rows]) > 1.15 * reach
-        for k, item in zip(rows.tolist(), _verdicts(at, state, start[rows], size[rows], noise), strict=True):
+        for i, item in enumerate(_verdicts(at, state, start[rows], size[rows], noise)):
+            k = int(rows[i])
             out[k] = item
+            if known is not None and (item is None or item.visible <= known[k]):
+                out[k], far[i] = None, False
         rows = rows[far]
         if not len(rows):
             break
@@ -150,12 +155,10 @@ def refine_on(
             break
         own = [families[i] for i in rows]
         moved = _moved(own, list(latest.values()))
-        results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur)
         # A step that shows no more of it leads nowhere.
-        latest = {
-            i: item for i, item in zip(rows, results, strict=True)
-            if item is not None and item.visible > best[i].visible
-        }  # fmt: skip
+        known = [best[i].visible for i in rows]
+        results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur, known)
+        latest = {i: item for i, item in zip(rows, results, strict=True) if item is not None}
         best = [latest.get(i, item) for i, item in enumerate(best)]
     return best
 

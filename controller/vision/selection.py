@@ -60,9 +60,10 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         not any(_rival(scene, item, good[j]) for j in meet) for item, meet in zip(good, meets, strict=True)
     ]
     if scene.sides:
-        # A piece of a top face, cut off by a print, must not outrank the whole.
+        # A piece of a top face, cut off by a print, must not outrank the whole; what is half seen is none.
+        seen = [item.badness < 1.0 and item.refined.visible >= scene.settings.visible for item in good]
         for i, item in enumerate(good):
-            around = [j for j in meets[i] if good[j].badness < 1.0 and item.area < _PIECE * good[j].area]
+            around = [j for j in meets[i] if seen[j] and item.area < _PIECE * good[j].area]
             stays[i] = stays[i] and not any(shared(item, good[j]) > 0.9 for j in around)
     else:
         # A print or glint must not outrank the object it lies on.

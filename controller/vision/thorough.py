@@ -21,8 +21,8 @@ from controller.vision.profiles import bilinear
 from controller.vision.proposals import FAINT, Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profiles
 from controller.vision.scene import Judged, Scene, all_sampled, whole
-from controller.vision.shapes import CIRCLE
-from controller.vision.silhouette import feet
+from controller.vision.shapes import CIRCLE, area
+from controller.vision.silhouette import foot
 from controller.vision.timing import Stopwatch
 from controller.vision.trial import lies_on, settled, tried, typical_blur
 
@@ -39,6 +39,12 @@ _BESIDE = 3.0
 _AGREED, _AGREED_SIDES = 0.6, 0.5
 """Share of the rays whose edges a fit must explain, and that of the best fit around a region's core where side faces
 show: nearly half of a silhouette's edge may be theirs."""
+_GOOD = 0.7
+"""Badness of a region's best fit up to which its second best is not tried."""
+_WORSE, _WORSE_BY = 1.8, 0.05
+"""How many times the cost of a region's best fit, and how much more, the second best may have."""
+_SAME = 0.03
+"""Share of their size by which the places and sizes of outlines differ that are one."""
 _NECKED = 0.93
 """Area over the hull's, below which a region may be several touching parts."""
 
@@ -164,51 +170,76 @@ def _refined(
 ) -> list[Judged]:
     """Hypotheses refined on the pixels, the second best of a region only where the best is not good.
 
+    Where side faces show, what is fitted may be the silhouette of a part: its top face is tried as well.
+
     Args:
         scene: The frame.
         fits: The hypotheses of each region.
         blur: Expected blur, px.
         certain: Outlines found before that need no further guess.
     """
-    maps = scene.maps
     judged: list[Judged] = []
-    # Centre, size and family of what was tried already.
-    known = np.empty((2 * len(fits), 4))
-    count = 0
+    tried_before = _Tried(scene.maps)
     for rank in (0, 1):
-        wanted = []
-        done = {j.hypothesis.region for j in judged if j.badness < 0.7}
+        done = {j.hypothesis.region for j in judged if j.badness < _GOOD}
         if rank and not scene.sides:
             clear = settled(judged, scene)
             done |= {i for i, item in enumerate(scene.regions) if clear.explains(item.contour)}
-        for options in sorted((o for o in fits if len(o) > rank), key=lambda o: o[rank].cost):
-            h = options[rank]
-            region = scene.regions[h.region]
-            leans = scene.sides and rank == 0 and region.core and region.cue == "level"
-            agreed = _AGREED_SIDES if leans else _AGREED
-            if h.inliers < agreed or h.region in done or h.cost > 1.8 * options[0].cost + 0.05:
-                continue
-            if _lies(maps, h, certain):
-                continue
-            row = np.array([*(maps.centers[h.region] + h.q[:2]), h.size, h.family.parameters])
-            if _same(row, known[:count]):
-                continue
-            known[count] = row
-            count += 1
-            wanted.append(h)
+        options = sorted((o for o in fits if len(o) > rank and o[rank].region not in done), key=lambda o: o[rank].cost)
+        wanted = [
+            o[rank] for o in options
+            if _plausible(scene, o, rank) and not _lies(scene.maps, o[rank], certain) and tried_before.first(o[rank])
+        ]  # fmt: skip
+        if scene.sides:
+            cores = [h for h in wanted if scene.regions[h.region].core]
+            wanted += [top for top in _tops(scene, [*cores, *_silhouettes(judged, certain)]) if tried_before.first(top)]
         judged += tried(scene, wanted, blur, certain)
         blur = typical_blur(judged, blur)
-    if scene.sides:
-        certain = [*certain, *(j for j in judged if whole(j))]
-        good_ones = [
-            j for j in judged
-            if whole(j) or ((j.badness < 1.0 or math.isinf(j.badness)) and not lies_on(*_middle(j), j.area, certain))
-        ]  # fmt: skip
-        assert scene.plane is not None
-        below = feet([j.outline for j in good_ones], scene.plane, 2.0 * scene.plane.height)
-        tops = [_top_within(scene, j, low) for j, low in zip(good_ones, below, strict=True)]
-        judged += tried(scene, tops, blur, certain)
     return judged
+
+
+def _plausible(scene: Scene, options: Sequence[Hypothesis], rank: int) -> bool:
+    """Whether one of the fits around a region explains enough of its edges to be worth a look at the pixels."""
+    h, region = options[rank], scene.regions[options[rank].region]
+    leans = scene.sides and rank == 0 and region.core and region.cue == "level"
+    agreed = _AGREED_SIDES if leans else _AGREED
+    return h.inliers >= agreed and h.cost <= _WORSE * options[0].cost + _WORSE_BY
+
+
+class _Tried:
+    """Outlines that were tried already."""
+
+    def __init__(self, maps: LocalMaps) -> None:
+        self._maps = maps
+        self._known: list[tuple[float, float, Hypothesis]] = []
+
+    def first(self, h: Hypothesis) -> bool:
+        """Whether a hypothesis is not one of them; then it is from now on. No top face is its own silhouette."""
+        x, y = (self._maps.centers[h.region] + h.q[:2]).tolist()
+        for x0, y0, other in self._known:
+            own = h.region == other.region and h.top != other.top
+            near = abs(x - x0) + abs(y - y0) < _SAME * h.size + 0.5
+            if near and not own and h.family is other.family and abs(h.size - other.size) <= _SAME * other.size:
+                return False
+        self._known.append((x, y, h))
+        return True
+
+
+def _silhouettes(judged: Sequence[Judged], certain: Sequence[Judged]) -> list[Hypothesis]:
+    """Refined outlines that may be silhouettes of parts of which side faces show."""
+    certain = [*certain, *(j for j in judged if whole(j))]
+    tops = [j for j in judged if j.hypothesis.top]
+    return [
+        replace(j.hypothesis, q=j.refined.q) for j in judged
+        if (whole(j) or ((j.badness < 1.0 or math.isinf(j.badness)) and not lies_on(*_middle(j), j.area, certain)))
+        and not any(_coincide(j, top) for top in tops)
+    ]  # fmt: skip
+
+
+def _coincide(a: Judged, b: Judged) -> bool:
+    """Whether two outlines are the same but for the accuracy of either."""
+    off = max(abs(one - other) for one, other in zip(a.box, b.box, strict=True))
+    return a.hypothesis.family is b.hypothesis.family and off < _SAME * math.sqrt(a.area) + 0.5
 
 
 def _lies(maps: LocalMaps, h: Hypothesis, certain: Sequence[Judged]) -> bool:
@@ -223,10 +254,21 @@ def _middle(item: Judged) -> tuple[float, float]:
     return 0.5 * (x0 + x1), 0.5 * (y0 + y1)
 
 
-def _top_within(scene: Scene, item: Judged, below: Floats) -> Hypothesis:
-    """Where the top face would be if an outline with that foot were the silhouette of a part with visible sides."""
-    k, family, q = item.hypothesis.region, item.hypothesis.family, item.refined.q.copy()
-    inwards = (scene.maps.to_local(k, below) - scene.maps.to_local(k, item.outline)).mean(axis=0)
+def _tops(scene: Scene, silhouettes: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Where the top faces would be if outlines were the silhouettes of parts with visible sides."""
+    if not silhouettes or scene.plane is None:
+        return []
+    index = np.array([h.region for h in silhouettes], np.intp)
+    centers = np.array([h.q[:2] for h in silhouettes])
+    pixels = scene.maps.all_to_pixels(index, centers[:, None])[:, 0]
+    below = foot(pixels, scene.plane, 2.0 * scene.plane.height)
+    inwards = scene.maps.many_to_local(index, below[:, None])[:, 0] - centers
+    return [_top_within(h, shift) for h, shift in zip(silhouettes, inwards, strict=True)]
+
+
+def _top_within(silhouette: Hypothesis, inwards: Floats) -> Hypothesis:
+    """The top face within a silhouette; `inwards` (2,) is how far the foot lies from it, local units."""
+    family, q = silhouette.family, silhouette.q.copy()
     q[:2] -= 0.5 * inwards
     if family is CIRCLE:
         q[2] -= 0.25 * float(np.linalg.norm(inwards))
@@ -236,14 +278,7 @@ def _top_within(scene: Scene, item: Judged, below: Floats) -> Hypothesis:
         for size in range(family.sizes):
             q[2 + size] -= 0.5 * float(facing[family.size_of == size].mean())
     q[2 : 2 + family.sizes] = np.maximum(q[2 : 2 + family.sizes], 2.0)
-    return Hypothesis(k, family, q, item.hypothesis.cost, item.hypothesis.inliers, item.hypothesis.size)
-
-
-def _same(row: Floats, others: Floats) -> bool:
-    """Whether one of the others (N, 4), each a centre, a size and its family's parameters, is the same outline."""
-    x, y, size, family = others.T
-    near = np.abs(row[0] - x) + np.abs(row[1] - y) < 0.03 * row[2] + 0.5
-    return bool((near & (family == row[3]) & (np.abs(row[2] / size - 1.0) <= 0.03)).any())
+    return replace(silhouette, q=q, size=math.sqrt(float(area(family, q[None])[0])), top=True)
 
 
 def _center(contour: NDArray[np.float32]) -> Floats:
