@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.fitting import Hypothesis, edges_of, fit_all
+from controller.vision.fitting import Hypothesis, edges_of, fit_at_once
 from controller.vision.local_map import local_maps
 from controller.vision.profiles import bilinear
-from controller.vision.proposals import Region
+from controller.vision.proposals import Region, Standing
 from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, whole
 from controller.vision.small import SMALL
@@ -38,31 +38,29 @@ _CONVEX = 0.93
 """Area over the hull's, above which a region may be one convex object."""
 _COMPLETE = 0.95
 """Share of the points where the outline must be found."""
-_ROUGH, _FINE = (1,), (4,)
-"""Gauss-Newton steps on all families, and on the best two: there are no stray edges to find a way between."""
 _ON_OUTLINE = 0.9
 """Share of the points that must lie on the best family's outline."""
 _GROWN, _GROWN_SHARE = 0.6, 0.01
 """How much the root of the area may change, px of the searched image and share: its blur rounds corners off."""
 _DOUBT = 1.5
-"""The second best family is tried as well when its cost is within this ratio, ..."""
+"""Another family is tried as well when its cost is within this ratio, ..."""
 _DOUBT_COST = 0.03
 """... or this much, of the best one's; all are where the shape is small."""
 
 
-def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: float) -> tuple[Scene, list[Judged]]:
+def clear_objects(scene: Scene, strength: Floats32, standing: Standing, smallest: float) -> tuple[Scene, list[Judged]]:
     """Objects that need no further guess.
 
     Args:
         scene: The frame; its regions and maps are not looked at.
         strength: ndarray of shape (H, W), dtype float32: how far the searched image differs from the table.
-        level: Strength above which a pixel may belong to an object.
+        standing: What stands out there.
         smallest: Smallest area, px of the searched image.
 
     Returns:
         The scene with the regions looked at, and the objects.
     """
-    regions = _alone(strength, level, smallest)
+    regions = _alone(standing, smallest)
     points, found = _half_lines(strength, regions)
     points = points * scene.factor + (scene.factor - 1) / 2.0
     use = found.mean(axis=1) >= _COMPLETE
@@ -79,7 +77,7 @@ def clear_objects(scene: Scene, strength: Floats32, level: float, smallest: floa
         return scene, []
     local = maps.all_to_local(points)
     edges = edges_of(local[:, :, None], found[..., None].astype(np.float64))
-    fits = fit_all(local, edges, scene.factor, _ROUGH, _FINE)
+    fits = fit_at_once(local, edges, scene.factor)
     wanted: list[Hypothesis] = []
     for options in fits:
         if options and options[0].inliers > _ON_OUTLINE:
@@ -96,13 +94,11 @@ def _stayed(item: Judged, factor: int) -> bool:
     return abs(math.sqrt(item.area) - size) < _GROWN * factor + _GROWN_SHARE * size
 
 
-def _alone(strength: Floats32, level: float, smallest: float) -> list[Region]:
-    """Convex regions above `level` that do not reach the image's rim."""
-    height, width = strength.shape
-    mask = np.asarray(cv2.threshold(strength, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+def _alone(standing: Standing, smallest: float) -> list[Region]:
+    """Convex regions of what stands out that do not reach the image's rim."""
+    height, width = standing.mask.shape
     out = []
-    for contour in contours:
+    for contour in standing.contours:
         if len(contour) < 12:
             continue
         x, y, w, h = cv2.boundingRect(contour)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.proposals import above, level_strength
+from controller.vision.proposals import above
 from controller.vision.scene import Scene, outside
 from controller.vision.selection import shaded
 
@@ -54,7 +54,7 @@ def soft_shade(scene: Scene, outline: Floats) -> bool:
 
 def _reaches_border(scene: Scene, outline: Floats) -> bool:
     """Whether what stands out of the table within an outline goes on to the picture's border."""
-    mask = above(level_strength(scene.white), scene.settings.level)
+    mask = above(scene.white.strength, scene.settings.level)
     _, labels = cv2.connectedComponents(mask, connectivity=4)
     small = np.rint((outline - (scene.factor - 1) / 2.0) / scene.factor).astype(np.int32)
     own = cv2.fillPoly(np.zeros(mask.shape, np.uint8), [small], (1,))

@@ -40,6 +40,9 @@ _FOLLOWS: Floats32 = np.array(
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
 _RIDGE = 1e-5 * np.eye(PARAMETERS)
 _NONE = np.empty(0, np.float32)
+_ROUGH, _FINE, _AT_ONCE = (0, 1, 2), (3, 4, 5), (1, 4)
+"""Numbers of the Gauss-Newton steps after which the families that do not suit a region are plain, of those that bring
+the others to the end, and of those that are enough among edges of one outline."""
 _TINY = 10.0
 """Root of the area, px of the searched image, below which the blur makes all families look alike."""
 
@@ -101,9 +104,22 @@ def edges_of(places: Floats, weight: Floats) -> Edges:
     return Edges(points, np.minimum(relative, 1.0).astype(np.float32))
 
 
-def fit_all(
-    outlines: Floats, edges: Edges, factor: int, rough: Sequence[int] = (0, 1, 2), fine: Sequence[int] = (3, 4, 5)
-) -> list[list[Hypothesis]]:
+def fit_at_once(outlines: Floats, edges: Edges, factor: int) -> list[list[Hypothesis]]:
+    """For every region, its fits to all families, best first, where there are no stray edges to find a way between.
+
+    Args:
+        outlines: ndarray of shape (K, N, 2): points of the outline of each region, local coordinates.
+        edges: The edges around each, one a ray.
+        factor: How many times smaller the searched image is: so much worse the edges are known.
+    """
+    count = len(outlines)
+    kind, region = _every(count)
+    near = edges.some(region)
+    q = _fit(kind, _starts(outlines), near, factor, _AT_ONCE)
+    return _hypotheses(kind, region, q, _quality(kind, q, near, factor), count)
+
+
+def fit_all(outlines: Floats, edges: Edges, factor: int) -> list[list[Hypothesis]]:
     """For every region, its fits to the two families that suit it best, best first; of what is tiny, to all.
 
     All families are fitted roughly, on every other ray; the best two are fitted to the end.
@@ -112,15 +128,11 @@ def fit_all(
         outlines: ndarray of shape (K, N, 2): points of a rough convex outline of each region, local coordinates.
         edges: The edges around each.
         factor: How many times smaller the searched image is: so much worse the edges are known.
-        rough: Numbers of the Gauss-Newton steps after which the families that do not suit a region are plain.
-        fine: Numbers of those that bring the others to the end.
     """
     count = len(outlines)
-    kind = np.repeat(np.arange(len(KINDS)), count)
-    region = np.tile(np.arange(count), len(KINDS))
-    q = _starts(outlines)
+    kind, region = _every(count)
     half = edges.coarser().some(region)
-    q = _fit(kind, q, half, factor, rough)
+    q = _fit(kind, _starts(outlines), half, factor, _ROUGH)
     cost, _, size = (values.reshape(len(KINDS), count) for values in _quality(kind, q, half, factor))
     place = np.argsort(np.argsort(np.where(np.isnan(cost), np.inf, cost), axis=0, kind="stable"), axis=0)
     tiny = np.fmin.reduce(size, axis=0) < _TINY * factor
@@ -128,14 +140,26 @@ def fit_all(
     rows = rows[np.isfinite(q[rows]).all(axis=1)]
     kind, region = kind[rows], region[rows]
     near = edges.some(region)
-    q = _fit(kind, q[rows], near, factor, fine)
-    cost, inliers, size = _quality(kind, q, near, factor)
+    q = _fit(kind, q[rows], near, factor, _FINE)
+    return _hypotheses(kind, region, q, _quality(kind, q, near, factor), count)
+
+
+def _every(count: int) -> tuple[Rows, Rows]:
+    """Kinds and regions (4 K,) of the rows that fit every family to each of K regions."""
+    return np.repeat(np.arange(len(KINDS)), count), np.tile(np.arange(count), len(KINDS))
+
+
+def _hypotheses(
+    kind: Rows, region: Rows, q: Floats, quality: tuple[Floats, Floats, Floats], count: int
+) -> list[list[Hypothesis]]:
+    """The fits (R,) to each of `count` regions, best first."""
+    cost, inliers, size = quality
     out: list[list[Hypothesis]] = [[] for _ in range(count)]
     usable = np.isfinite(q).all(axis=1)
-    for i in np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")].tolist():
-        k, at = int(kind[i]), int(region[i])
-        own = q[i, OWN[k]]
-        out[at].append(Hypothesis(at, KINDS[k], own, float(cost[i]), float(inliers[i]), float(size[i])))
+    order = np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")]
+    told = (values[order].tolist() for values in (kind, region, cost, inliers, size))
+    for own, k, at, *figures in zip(q[order], *told, strict=True):
+        out[at].append(Hypothesis(at, KINDS[k], own[OWN[k]], *figures))
     return out
 
 

@@ -38,8 +38,9 @@ def pixel_noise(image: Image) -> Floats:
     )
     # The second difference is blind to slopes; its variance is 6 times the noise's.
     second = before - here - here + after
-    scale = np.maximum(1.4826 * median(np.abs(second), 1), 0.5)
-    kept = second[:, (np.abs(second) < 3.5 * scale[:, None]).all(axis=0)]
+    size = np.abs(second)
+    scale = np.maximum(np.float32(1.4826) * median(size, 1), np.float32(0.5))
+    kept = second[:, (size < np.float32(3.5) * scale[:, None]).all(axis=0)]
     covariance = kept @ kept.T / (6.0 * max(kept.shape[1], 1))
     # Rounding alone has a variance of 1/12; compression hides noise in flat blocks.
     return np.asarray(covariance + np.eye(3) * 0.3)
@@ -47,11 +48,11 @@ def pixel_noise(image: Image) -> Floats:
 
 def least_step(image: Image) -> float:
     """The least step that a picture's own blocks do not make, levels; 0 unless it was compressed strongly."""
-    rows = image[:: max(1, image.shape[0] // 64), :, 1]
+    rows = np.ascontiguousarray(image[:: max(1, image.shape[0] // 64), :, 1])
     count = (rows.shape[1] - 1) // _BLOCK
     if count < 8:
         return 0.0
-    steps = np.minimum(cv2.absdiff(rows[:, 1:], rows[:, :-1]), _SMALL_STEP)
+    steps = np.minimum(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8(_SMALL_STEP))
     columns = np.asarray(cv2.reduce(steps, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S))[0]
     at = np.sort(columns[: count * _BLOCK].reshape(count, _BLOCK).sum(axis=0))
     typical = 0.5 * float(at[_BLOCK // 2 - 1] + at[_BLOCK // 2])

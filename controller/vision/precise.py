@@ -15,7 +15,7 @@ from controller.vision.fallen import soft_shade
 from controller.vision.leftover import leftovers
 from controller.vision.local_map import local_maps
 from controller.vision.noise import least_step, pixel_noise, without_spikes
-from controller.vision.proposals import Region, chroma, edge_energy, level_strength, propose
+from controller.vision.proposals import Region, chroma, edge_energy, propose, standing
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
 from controller.vision.selection import shaded
@@ -77,19 +77,20 @@ def _search(
     white = whiten(small, empty, box)
     watch.lap("background")
     smallest = 0.5 * (settings.smallest_px / factor) ** 2
-    strength = level_strength(white)
+    strength = white.strength
     visible = None
     if hidden is not None:
         covered = cv2.resize(hidden, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         visible = np.asarray(cv2.threshold(covered, 0.0, 255.0, cv2.THRESH_BINARY_INV)[1], np.uint8)
         strength = np.asarray(cv2.copyTo(strength, visible), np.float32)
     scene = Scene(image, noise, white, factor, local_maps(np.empty((0, 2)), np.empty(0), plane), [], plane, settings)
+    seen = standing(strength, settings.level)
     clear: list[Judged] = []
     if not scene.sides:
-        scene, clear = clear_objects(scene, strength, settings.level, smallest)
+        scene, clear = clear_objects(scene, strength, seen, smallest)
         watch.lap("clear")
     unknown = settled(clear, scene).unexplained
-    regions = propose(white, strength, settings.level, smallest, unknown, box, visible)
+    regions = propose(white, strength, seen, settings.level, smallest, unknown, box, visible)
     if trace is not None:
         maps = {"strength": strength, "chroma": chroma(white, strength), "edges": edge_energy(white.difference)}
         for name, values in maps.items():

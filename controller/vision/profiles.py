@@ -102,20 +102,10 @@ def sample(
 
 
 def _sums(raw: NDArray[np.uint8], first: NDArray[np.intp], lines: NDArray[np.intp]) -> Floats32:
-    """Sums (M, W) of so many rows of `raw` (L, W) from each first one on.
-
-    All first rows at once, then all second ones: as the rows are short and the sums many, this takes a third of what
-    `np.add.reduceat` does.
-    """
-    order = np.argsort(-lines, kind="stable")
-    start, ordered = first[order], lines[order]
-    sums = raw[start].astype(np.float32)
-    longer = np.searchsorted(-ordered, -np.arange(1, ordered[0]), side="left")
-    for row, count in enumerate(longer.tolist(), start=1):
-        sums[:count] += raw[start[:count] + row]
-    out = np.empty_like(sums)
-    out[order] = sums
-    return out
+    """Sums (M, W) of so many rows of `raw` (L, W) from each first one on."""
+    # All that lies above and to the left of each place: exact, and several times as fast as `np.add.reduceat`.
+    total = cv2.integral(raw, sdepth=cv2.CV_64F)
+    return np.asarray(np.diff(total[first + lines] - total[first], axis=1), np.float32)
 
 
 def bilinear(image: NDArray[Pixel], x: Floats32, y: Floats32) -> NDArray[Pixel]:

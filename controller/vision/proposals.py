@@ -21,10 +21,13 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.uint8]
 Contour = MatLike
-Unknown = Callable[[Sequence[Contour]], list[Contour]]
-"""Of contours, shape (N, 1, 2), those that show nothing known already."""
+Boxes = NDArray[np.int32]
+Unknown = Callable[[Boxes], NDArray[np.bool_]]
+"""Of boxes (N, 4), x, y, width and height, which (N,) show nothing known already."""
 
 _QUARTER_TURN = np.array([1.0, -1.0], np.float32)
+_WIDENED = np.array([0, 0, 1, 1], np.int32)
+"""The box of a contour drawn twice as large is one pixel less than twice as wide."""
 _SHORT = 8
 """Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
@@ -58,15 +61,29 @@ class Region:
     core: bool = False
 
 
-def level_strength(white: Whitened) -> Floats32:
-    """How far each pixel is from the table, in standard deviations, (H, W)."""
-    squared = cv2.multiply(white.difference, white.difference)
-    return np.asarray(cv2.sqrt(cv2.transform(squared, np.ones((1, 3), np.float32))), np.float32)
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """What stands out of the table by its level.
+
+    Attributes:
+        mask: ndarray of shape (H, W), dtype uint8: 255 there, 0 elsewhere.
+        contours: Its outer contours.
+    """
+
+    mask: Mask
+    contours: Sequence[Contour]
+
+
+def standing(strength: Floats32, level: float) -> Standing:
+    """What stands out of a picture of strengths (H, W) above a level."""
+    mask = above(strength, level)
+    return Standing(mask, _outer(mask))
 
 
 def propose(
     white: Whitened,
     strength: Floats32,
+    seen: Standing,
     level: float,
     smallest: float,
     unknown: Unknown,
@@ -77,7 +94,8 @@ def propose(
 
     Args:
         white: The whitened frame.
-        strength: Its `level_strength`.
+        strength: Its strength, 0 where something known hides the table.
+        seen: What is `standing` there.
         level: Strength, in standard deviations of the table, above which a pixel may belong to an object.
         smallest: Smallest area, px of the searched image.
         unknown: Leaves out contours of objects that are known already.
@@ -85,23 +103,24 @@ def propose(
         visible: ndarray of shape (H, W), dtype uint8: 0 where something known hides the table; `strength` is 0 there.
     """
     if box is not None:
-        corner = np.array([box[1].start, box[0].start], np.int32)
+        corner = np.array([box[1].start, box[0].start, 0, 0], np.int32)
 
-        def beyond(contours: Sequence[Contour]) -> list[Contour]:
-            return [contour - corner for contour in unknown([contour + corner for contour in contours])]
+        def beyond(boxes: Boxes) -> NDArray[np.bool_]:
+            return unknown(boxes + corner)
 
         part = replace(white, difference=white.difference[box])
         regions = propose(
-            part, strength[box], level, smallest, beyond, visible=None if visible is None else visible[box]
-        )
-        return [replace(item, contour=item.contour + corner.astype(np.float32)) for item in regions]
+            part, strength[box], standing(strength[box], level), level, smallest, beyond,
+            visible=None if visible is None else visible[box],
+        )  # fmt: skip
+        return [replace(item, contour=item.contour + corner[:2].astype(np.float32)) for item in regions]
     regions = []
-    mask = _unknown(above(strength, level), smallest, unknown)
+    mask = _unknown(seen, smallest, unknown)
     if mask is not None:
         regions += _components(strength, mask, smallest, "level")
         # What stands out by its chroma stands out by its level, which is never less.
         tint = chroma(white, strength) if visible is None else _where(visible, chroma(white, strength))
-        mask = _unknown(above(tint, level), smallest, unknown)
+        mask = _unknown(standing(tint, level), smallest, unknown)
         if mask is not None:
             regions += _components(tint, mask, smallest, "chroma")
     # A look at half the size tells whether there is anything; beside what hides the table there always is.
@@ -133,8 +152,8 @@ def _faint_edges(white: Whitened, smallest: float, unknown: Unknown, visible: Ma
     if visible is not None:
         mask &= visible
 
-    def beyond(contours: Sequence[Contour]) -> list[Contour]:
-        return [contour // 2 for contour in unknown([2 * contour for contour in contours])]
+    def beyond(boxes: Boxes) -> NDArray[np.bool_]:
+        return unknown(2 * boxes - _WIDENED)
 
     found = _edge_regions(mask, _FAINT_SIZE * smallest / 4.0, "faint", beyond)
     return [replace(item, contour=2.0 * item.contour + 0.5, area=4.0 * item.area) for item in found]
@@ -230,7 +249,7 @@ def _zones(
         if links[3] < 0 and len(contour) >= _SHORT
     ]  # fmt: skip
     out = []
-    for contour in unknown(outer):
+    for contour in _left(outer, unknown):
         area = _filled(contour)
         if area < 0.25 * smallest or area > 0.3 * edges.size:
             continue
@@ -261,13 +280,35 @@ def above(image: Floats32, level: float) -> Mask:
     return np.asarray(cv2.threshold(image, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
 
 
-def _unknown(mask: Mask, smallest: float, unknown: Unknown) -> Mask | None:
-    """The components of a mask that are neither known nor too small; None when there are none."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    kept = unknown([contour for contour in contours if len(contour) >= _SHORT and _filled(contour) >= smallest])
-    if not kept or len(kept) == len(contours):
+def _outer(mask: Mask) -> Sequence[Contour]:
+    """Outer contours of a mask, pixel by pixel."""
+    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+
+
+def _unknown(seen: Standing, smallest: float, unknown: Unknown) -> Mask | None:
+    """Of what stands out all that is neither known nor too small; None when there is none."""
+    mask, kept = seen.mask, _left(_large(seen.contours, smallest), unknown)
+    if not kept or len(kept) == len(seen.contours):
         return mask if kept else None
     return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (255,), cv2.FILLED), np.uint8)
+
+
+def _large(contours: Sequence[Contour], smallest: float) -> list[Contour]:
+    """Those contours that hold an area that large."""
+    return [contour for contour in contours if len(contour) >= _SHORT and _filled(contour) >= smallest]
+
+
+def _left(contours: Sequence[Contour], unknown: Unknown) -> list[Contour]:
+    """Those contours that show nothing known already."""
+    if not contours:
+        return []
+    boxes = np.array([cv2.boundingRect(contour) for contour in contours], np.int32)
+    return [contour for contour, new in zip(contours, unknown(boxes).tolist(), strict=True) if new]
+
+
+def _all(boxes: Boxes) -> NDArray[np.bool_]:
+    """Nothing is known."""
+    return np.ones(len(boxes), bool)
 
 
 def _filled(contour: Contour) -> float:
@@ -276,14 +317,11 @@ def _filled(contour: Contour) -> float:
 
 
 def _contours(
-    mask: Mask, smallest: float, cue: str, core: bool = False, unknown: Unknown = list
+    mask: Mask, smallest: float, cue: str, core: bool = False, unknown: Unknown = _all
 ) -> list[Region]:
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
-    for contour in unknown([contour for contour in contours if len(contour) >= _SHORT]):
+    for contour in _left(_large(_outer(mask), smallest), unknown):
         area = _filled(contour)
-        if area < smallest:
-            continue
         hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
         out.append(Region(contour[:, 0].astype(np.float32), area, cue, min(1.0, area / hull), core))
     return out

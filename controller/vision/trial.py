@@ -14,7 +14,7 @@ from controller.vision.chunks import Batch, batch_of, corners
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
 from controller.vision.padded import KINDS, ROUND, areas
-from controller.vision.proposals import Contour
+from controller.vision.proposals import Boxes
 from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, all_sampled, boxes, whole
@@ -156,39 +156,40 @@ class Settled:
     """Outlines that need no further guess.
 
     Attributes:
-        owner: ndarray of shape (H, W), dtype int32, of the searched image: which outline each pixel lies in, counted
+        owner: ndarray of shape (H, W), dtype uint16, of the searched image: which outline each pixel lies in, counted
             from 1; 0 for none.
         size: ndarray of shape (K + 1, 2): width and height of each outline's box, px of the searched image.
     """
 
-    owner: NDArray[np.int32]
+    owner: NDArray[np.uint16]
     size: Floats
 
-    def unexplained(self, contours: Sequence[Contour]) -> list[Contour]:
-        """Of contours (N, 1, 2) in the searched image those that are not one of the outlines, or a part of it."""
-        if not contours:
-            return []
+    def unexplained(self, boxes: Boxes) -> NDArray[np.bool_]:
+        """Which (N,) boxes (N, 4) of contours in the searched image are none of an outline or of a part of it."""
         if len(self.size) < 2:
-            return list(contours)
-        x, y, w, h = np.array([cv2.boundingRect(contour) for contour in contours]).T
+            return np.ones(len(boxes), bool)
+        x, y, w, h = boxes.T
         rows, columns = self.owner.shape
-        owner = self.owner[np.clip(y + h // 2, 0, rows - 1), np.clip(x + w // 2, 0, columns - 1)]
+        row, column = np.maximum(y + h // 2, 0), np.maximum(x + w // 2, 0)
+        owner = self.owner[np.minimum(row, rows - 1), np.minimum(column, columns - 1)]
         own = self.size[owner]
-        known = (owner > 0) & (w * h < 1.6 * own[:, 0] * own[:, 1] + 8.0 * own.sum(axis=1))
-        return [contour for contour, skip in zip(contours, known.tolist(), strict=True) if not skip]
+        return np.asarray((owner == 0) | (w * h >= 1.6 * own[:, 0] * own[:, 1] + 8.0 * own.sum(axis=1)))
 
     def explains(self, contour: NDArray[np.float32]) -> bool:
         """Whether a contour (N, 2) is one of the outlines, or a part of it."""
-        return not self.unexplained([contour])
+        return not self.unexplained(np.array([cv2.boundingRect(contour)], np.int32))[0]
 
 
 def settled(judged: Sequence[Judged], scene: Scene) -> Settled:
     """The outlines that are seen completely and fit well."""
-    outlines = [item.outline for item in judged if whole(item)]
-    owner = np.zeros(scene.white.difference.shape[:2], np.int32)
-    size = np.zeros((len(outlines) + 1, 2))
-    for number, outline in enumerate(outlines, start=1):
-        small = (outline - (scene.factor - 1) / 2.0) / scene.factor
-        size[number] = small.max(axis=0) - small.min(axis=0)
-        cv2.fillConvexPoly(owner, np.rint(small).astype(np.int32), (float(number),))
+    done = [item for item in judged if whole(item)]
+    owner = np.zeros(scene.white.strength.shape, np.uint16)
+    size = np.zeros((len(done) + 1, 2))
+    if done:
+        corners = np.array([item.box for item in done])
+        size[1:] = (corners[:, 2:] - corners[:, :2]) / scene.factor
+        points = (np.concatenate([item.outline for item in done]) - (scene.factor - 1) / 2.0) / scene.factor
+        ends = np.cumsum([len(item.outline) for item in done])[:-1]
+        for number, outline in enumerate(np.split(np.rint(points).astype(np.int32), ends), start=1):
+            cv2.fillConvexPoly(owner, outline, (number,))
     return Settled(owner, size)

@@ -84,7 +84,7 @@ def names(surfaces: Surfaces, settings: Appearance) -> Names:
     Raises:
         InputError: The gray card the recipe speaks of cannot be measured.
     """
-    woven = texture.names_of(surfaces.textures) if settings.texture else []
+    woven = texture.names(surfaces.tiles) if settings.texture else []
     return Names(woven, surfaces.colours if settings.colour else ())
 
 

@@ -117,6 +117,8 @@ def _show(image: Image, middle: tuple[float, float], scale: float, out: Image) -
     """Bring a part's surroundings to a tile."""
     x, y = middle
     reduce = int(1.0 / scale)
+    if reduce > 3:
+        reduce &= ~1
     if reduce > 1:
         # Averaged first: a warp that skips pixels would fold fine textures into coarse ones.
         reach = 0.5 * SIDE / scale + reduce
@@ -125,6 +127,9 @@ def _show(image: Image, middle: tuple[float, float], scale: float, out: Image) -
         wide = max(1, (min(int(x + reach) + 2, image.shape[1]) - left) // reduce)
         high = max(1, (min(int(y + reach) + 2, image.shape[0]) - top) // reduce)
         cut = image[top : top + high * reduce, left : left + wide * reduce]
+        if reduce % 2 == 0:
+            # Pairs of pixels are what OpenCV averages quickly.
+            cut = np.asarray(cv2.resize(cut, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         image = np.asarray(cv2.resize(cut, (wide, high), interpolation=cv2.INTER_AREA), np.uint8)
         x, y = (x - left + 0.5) / reduce - 0.5, (y - top + 0.5) / reduce - 0.5
         scale *= reduce
