@@ -79,8 +79,11 @@ class Arm(Protocol):
         """What kind of arm this is."""
         ...
 
-    def open(self) -> None:
+    def open(self, *, restart: bool = False) -> None:
         """Connect, check every servo against the description and set it up. Moves nothing, torque stays off.
+
+        Args:
+            restart: Restart the servos that have shut themselves down: only when a person has seen to the cause.
 
         Raises:
             BusError: The port or a servo does not answer.

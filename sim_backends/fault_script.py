@@ -197,13 +197,17 @@ class FaultDirector:
         self._waiting.clear()
 
     def repair(self) -> None:
-        """Somebody has put everything right: plugs, supply, what is in the way; faulted servos switched off and on."""
+        """Somebody has put everything right: plugs, supply, what is in the way.
+
+        Servos that report an error and hold were switched off and on; a reset restarts those that have shut down.
+        """
         self._camera.heal()
         self._bus.heal()
         self._bus.faults.set_rate(Fault.CORRUPT, 0.0)
         for servo_id in self._bus.servo_ids:
             self._world.shafts.block(servo_id, False)
-            if self._bus.servo(servo_id).health.bits:
+            servo = self._bus.servo(servo_id)
+            if servo.health.bits and servo.table.get("Torque_Enable"):
                 self._bus.strike(Fault.REBOOT, servo_id)
         self.ledger_unwritable = False
 

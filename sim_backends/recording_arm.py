@@ -84,7 +84,7 @@ class RecordingArm:
         """The arm it pretends to be."""
         return self._description
 
-    def open(self) -> None:
+    def open(self, *, restart: bool = False) -> None:
         """Connect; torque stays off."""
         self._raise_due(self._due("open"))
         self._open = True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,16 +122,19 @@ class Devices:
     lay_round_part: Callable[[], None] = lambda: None
     closers: list[Callable[[], None]] = field(default_factory=list)
 
-    def open(self) -> None:
+    def open(self, *, restart: bool = False) -> None:
         """Open camera and arm; when both fail, the error names both.
+
+        Args:
+            restart: Restart the servos that have shut themselves down.
 
         Raises:
             DeviceError: One of them is not there or not in order.
         """
         failures: list[DeviceError] = []
-        for device in (self.camera, self.arm):
+        for device, opened in ((self.camera, self.camera.open), (self.arm, partial(self.arm.open, restart=restart))):
             try:
-                device.open()
+                opened()
                 self.closers.append(device.close)
             except DeviceError as error:
                 failures.append(error)
@@ -141,7 +145,9 @@ class Devices:
             raise first
 
     def reopen(self) -> None:
-        """Open camera and arm again, whatever has become of them. Moves nothing.
+        """Open camera and arm again after an operator's reset, whatever has become of them. Moves nothing.
+
+        Servos that have shut themselves down are restarted; they have no torque until the arm is energised.
 
         Raises:
             DeviceError: One of them is not there or not in order; the other is open.
@@ -150,7 +156,7 @@ class Devices:
             device.close()
             if device.close in self.closers:
                 self.closers.remove(device.close)
-        self.open()
+        self.open(restart=True)
 
     def close(self) -> None:
         """Release everything, last opened first."""

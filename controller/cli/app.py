@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -61,7 +62,29 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         rooms = ["control"] if "--version" in arguments else list(dict.fromkeys(ROOMS.values()))
     for room in rooms:
         import_module(f"controller.cli.{room}").add_to(app)
+    _explain(app)
     return app
+
+
+def _explain(app: typer.Typer) -> None:
+    """Let every command's help flow to the width of the terminal, its examples a line each."""
+    for command in app.registered_commands:
+        command.help = _flowing(command.callback)
+    for group in app.registered_groups:
+        inside = group.typer_instance
+        assert inside is not None
+        if inside.registered_callback is not None:
+            group.help = _flowing(inside.registered_callback.callback)
+        _explain(inside)
+
+
+def _flowing(command: Callable[..., Any] | None) -> str:
+    """The docstring of a command, each paragraph in one line, but its examples in one each."""
+    paragraphs = [" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n")]
+    return "\n\n".join(
+        text.replace(": ", ":\n  ", 1).replace(" | controller", "\n  controller") if text.startswith("Example") else text
+        for text in paragraphs
+    )
 
 
 def _version(wanted: bool) -> None:

@@ -75,7 +75,7 @@ def run(
     Examples: controller run --sim --parts 8 --seed 7 | controller run --replay photos --config cell.toml |
     controller run --config cell.toml --start | controller run --config cell.toml --dry-run
 
-    --sim without --calibration first calibrates its own cell: 60 s of simulated, 5 s of processor time. It makes no
+    --sim without --calibration first calibrates its own cell: 50 s of simulated, 5 s of processor time. It makes no
     certificate, for the touch test would double that, and the report compares the run with the world's truth anyway.
     To sort under one: controller calibrate arm --sim --seed 7 --calibration cal, controller calibrate check with the
     same options, controller run with them.

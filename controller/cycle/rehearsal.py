@@ -111,9 +111,9 @@ class EmptyHanded:
         """What kind of arm this is."""
         return self._arm.description
 
-    def open(self) -> None:
+    def open(self, *, restart: bool = False) -> None:
         """Open the arm."""
-        self._arm.open()
+        self._arm.open(restart=restart)
 
     def close(self) -> None:
         """Release the arm."""

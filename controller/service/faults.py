@@ -139,7 +139,7 @@ _ROWS: tuple[Fault, ...] = (
     Fault("servo_overheat", "servo too hot", "Hardware_Error_Status bit 2", _A.STOPPED,
           "let it cool for 20 minutes; " + _REDO),
     Fault("servo_undervoltage", "supply voltage out of range", "Hardware_Error_Status bit 0", _A.STOPPED,
-          "check the 12 V supply; " + _REDO),
+          "check the 12 V supply, switch it off and on; " + _REDO),
     Fault("supply_low", "supply voltage low", "below 10.8 V at the servos; the arm moves at half its speed", _A.WARNED,
           "check the 12 V supply and its wiring"),
     Fault("servo_rebooted", "servo has restarted", "its RAM differs from what was written before every move",

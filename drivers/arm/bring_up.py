@@ -177,7 +177,7 @@ def set_register(bus: Bus, servo: Servo, name: str, value: int) -> None:
         if present == value:
             return
     cause = f"keeps {present} instead of {value}"
-    raise BusError(servo.title, f"write {name}", "refused", cause, "restart the servo")
+    raise BusError(servo.title, f"write {name}", "refused", cause, "switch the servos' supply off and on")
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,13 +270,16 @@ def torque_off(bus: Bus, servos: Sequence[Servo]) -> None:
 
 
 def restart(bus: Bus, clock: Clock, servos: Sequence[Servo]) -> None:
-    """Reboot servos after a hardware error and write their RAM; their torque is off afterwards.
+    """Reboot those servos that hold no torque, for instance after a hardware error; whatever is in their RAM is lost.
 
     Raises:
         BusError: One does not come back.
-        ServoFault: One comes back with the same error.
+        ServoFault: One comes back with a hardware error.
     """
-    for servo in servos:
+    limp = [servo for servo in servos if not bus.read_register(servo.servo_id, "Torque_Enable")]
+    if not limp:
+        return
+    for servo in limp:
         try:
             bus.reboot(servo.servo_id)
         except BusError as error:
@@ -284,12 +287,9 @@ def restart(bus: Bus, clock: Clock, servos: Sequence[Servo]) -> None:
                 raise
             # The answer may be lost; whether it came back is what counts.
     clock.sleep(_REBOOT_TIME)
-    for servo in servos:
-        identity = bus.ping(servo.servo_id, retries=_REBOOT_PINGS)
-        if identity.alert:
+    for servo in limp:
+        if bus.ping(servo.servo_id, retries=_REBOOT_PINGS).alert:
             check_hardware(bus, servo, "restart")
-        bus.sync_write("Status_Return_Level", {servo.servo_id: 2})
-        write_ram(bus, servo)
 
 
 def check_still_ours(servos: Sequence[Servo], states: Mapping[int, RamState]) -> None:

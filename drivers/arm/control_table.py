@@ -138,12 +138,14 @@ WATCHDOG_UNIT = 0.020
 WATCHDOG_TRIPPED = -1
 """Bus_Watchdog after it has stopped the servo; goals are refused until 0 is written."""
 
+_RESTART = "restart the servo: controller reset, or switch the servos' supply off and on"
+
 HARDWARE_ERRORS: Mapping[int, tuple[str, str]] = {
-    0: ("input voltage out of range", "check the power supply and its cable, then restart the servo"),
-    2: ("overheated", "let it cool for 20 minutes, then restart the servo"),
-    3: ("motor encoder does not work", "restart the servo; if it returns, replace the servo"),
-    4: ("electrical shock or too little power to drive", "check the power supply, then restart the servo"),
-    5: ("overloaded for too long", "free the joint, lighten the load, then restart the servo"),
+    0: ("input voltage out of range", "check the power supply and its cable, then switch it off and on"),
+    2: ("overheated", "let it cool for 20 minutes, then " + _RESTART),
+    3: ("motor encoder does not work", "switch the servos' supply off and on; if it returns, replace the servo"),
+    4: ("electrical shock or too little power to drive", "check the power supply, then " + _RESTART),
+    5: ("overloaded for too long", "free the joint, lighten the load, then " + _RESTART),
 }
 """Hardware_Error_Status by bit: what it means and what to do."""
 
@@ -192,5 +194,5 @@ def hardware_error_text(bits: int) -> tuple[str, str]:
     """(cause, remedy) of Hardware_Error_Status; several causes are joined, the remedy is the first one's."""
     found = [HARDWARE_ERRORS[bit] for bit in HARDWARE_ERRORS if bits >> bit & 1]
     if not found:
-        return f"hardware error {bits:#04x}", "restart the servo"
+        return f"hardware error {bits:#04x}", "switch the servos' supply off and on"
     return ", ".join(cause for cause, _ in found), found[0][1]

@@ -67,11 +67,15 @@ class DynamixelArm:
 
     # --- start and end --------------------------------------------------------------------------------
 
-    def open(self) -> None:
+    def open(self, *, restart: bool = False) -> None:
         """Connect, check every servo and set it up. Moves nothing.
 
         A servo that holds torque keeps it, so that an arm left standing does not fall, unless its EEPROM has
         to be changed. May be called again after a loss.
+
+        Args:
+            restart: Reboot the servos that have shut themselves down, torque off, for a hardware error. One that
+                reports an error and still holds is left alone: it would let go.
 
         Raises:
             BusError: The port or a servo does not answer, or is another model than described.
@@ -82,6 +86,9 @@ class DynamixelArm:
         servos = self._body.servos
         try:
             self.inventory = bring_up.take_inventory(self.bus, servos)
+            if restart:
+                alerts = [servo for servo in servos if self.inventory[servo.servo_id].alert]
+                bring_up.restart(self.bus, self._body.clock, alerts)
             self._body.state("open")
             self.changed = bring_up.configure(self.bus, servos)
             self.bus.probe_fast([servo.servo_id for servo in servos], *TELEMETRY)
@@ -121,28 +128,6 @@ class DynamixelArm:
         with self._exclusive("relax"):
             self._energised = False
             bring_up.torque_off(self.bus, self._body.servos)
-
-    def restart_faulted(self) -> tuple[str, ...]:
-        """Reboot the servos that report a hardware error, each with its shadow or partner; names them.
-
-        The others keep holding. Restarted servos take their torque back where they stand if the arm was
-        energised. Support the arm before.
-
-        Raises:
-            ServoFault: One still reports its error.
-            BusError: One does not come back.
-        """
-        body = self._body
-        with self._exclusive("restart"):
-            alerts = {servo.servo_id for servo in body.servos if self.bus.ping(servo.servo_id).alert}
-            partners = {servo.servo_id: servo.shadow_of for servo in body.servos if servo.shadow_of is not None}
-            alerts |= {partners[i] for i in alerts if i in partners}
-            alerts |= {shadow for shadow, partner in partners.items() if partner in alerts}
-            faulted = [servo for servo in body.servos if servo.servo_id in alerts]
-            bring_up.restart(self.bus, body.clock, faulted)
-        if self._energised and faulted:
-            self.energise()
-        return tuple(servo.title for servo in faulted)
 
     # --- stop -----------------------------------------------------------------------------------------
 

@@ -180,7 +180,8 @@ def check_hardware(bus: Bus, servo: Servo, operation: str) -> None:
         if error.code == "lost":
             raise
         raise ServoFault(
-            servo.title, operation, servo.name, 0, "reports an alert and does not say why", "restart the servo"
+            servo.title, operation, servo.name, 0, "reports an alert and does not say why",
+            "switch the servos' supply off and on"
         ) from error
     if bits:
         cause, remedy = hardware_error_text(bits)

@@ -143,20 +143,35 @@ def test_restarting_a_faulted_servo_gives_it_back() -> None:
         bench.bus.strike(Fault.OVERLOAD, WRIST)
         with pytest.raises(ServoFault):
             arm.state()
-        assert arm.restart_faulted() == ("servo 4 (wrist_angle)",)
+        with pytest.raises(ServoFault):
+            arm.open()
+        arm.open(restart=True)
+        assert [i for i in range(1, 7) if bench.register(i, "Torque_Enable") == 0] == [WRIST]
         assert bench.register(WRIST, "Position_D_Gain") == 0
+        arm.energise()
         assert arm.follow(a_move(bench)).finished
-        assert arm.restart_faulted() == ()
 
 
 def test_a_fault_that_comes_back_stays_a_fault() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
-        bench.bus.strike(Fault.UNDERVOLTAGE, WRIST)
+        bench.bus.strike(Fault.OVERHEAT, WRIST)
         bench.plant.advance(0.1)
         with pytest.raises(ServoFault) as caught:
-            arm.restart_faulted()
-        assert caught.value.bits == 0x01
+            arm.open(restart=True)
+        assert caught.value.bits == 0x04
+
+
+@pytest.mark.safety("SR-21")
+def test_a_servo_that_reports_an_error_and_holds_is_not_restarted() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        bench.bus.strike(Fault.UNDERVOLTAGE, SHOULDER)
+        bench.plant.advance(0.1)
+        bench.bus.heal()
+        with pytest.raises(ServoFault, match="voltage"):
+            arm.open(restart=True)
+        assert all(bench.register(i, "Torque_Enable") == 1 for i in range(1, 7))
 
 
 # --- second servos of a joint --------------------------------------------------------------------------
@@ -173,7 +188,9 @@ def test_shadows_move_with_their_partners() -> None:
         bench.bus.strike(Fault.OVERLOAD, 5)
         with pytest.raises(ServoFault, match="elbow shadow"):
             arm.state()
-        assert arm.restart_faulted() == ("servo 4 (elbow)", "servo 5 (elbow shadow)")
+        arm.open(restart=True)
+        arm.energise()
+        assert arm.follow(a_move(bench)).finished
         arm.relax()
         assert not any(bench.register(i, "Torque_Enable") for i in range(1, 9))
 
