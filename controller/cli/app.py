@@ -79,12 +79,12 @@ def _explain(app: typer.Typer) -> None:
 
 
 def _flowing(command: Callable[..., Any] | None) -> str:
-    """The docstring of a command, each paragraph in one line, but its examples in one each."""
+    """The docstring of a command: each paragraph in one line, but a line for each of its examples."""
     paragraphs = [" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n")]
-    return "\n\n".join(
-        text.replace(": ", ":\n  ", 1).replace(" | controller", "\n  controller") if text.startswith("Example") else text
-        for text in paragraphs
-    )
+    for index, text in enumerate(paragraphs):
+        if text.startswith("Example"):
+            paragraphs[index] = text.replace(": ", ":\n  ", 1).replace(" | controller", "\n  controller")
+    return "\n\n".join(paragraphs)
 
 
 def _version(wanted: bool) -> None:
