@@ -248,7 +248,7 @@ class Handlers:
         for observer in self._rig.observers:
             observer.nudging(plan)
         motions.push(plan)
-        self._book.pushed(plan.moved, plan.by)
+        self._book.pushed(plan.ends)
         for observer in self._rig.observers:
             observer.nudged(plan)
         return True

@@ -195,10 +195,9 @@ class TargetBook:
         self._open[target_id] = target
         return target
 
-    def pushed(self, thing: LocatedObject, by: Point) -> None:
-        """A thing of the last look was pushed by (dx, dy) mm: where it lies now it is no stray."""
-        center = thing.center[0] + by[0], thing.center[1] + by[1]
-        self._pushed.append(dataclasses.replace(thing, center=center))
+    def pushed(self, ends: Sequence[LocatedObject]) -> None:
+        """A thing was pushed and may lie so now: there it is no stray."""
+        self._pushed += ends
 
     def _is_pushed(self, thing: LocatedObject) -> bool:
         return any(

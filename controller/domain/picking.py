@@ -64,7 +64,8 @@ class NudgePlan:
     Attributes:
         target: The part that is to be freed.
         moved: What is pushed: the target, or a neighbour.
-        by: (dx, dy) that it is expected to go, mm in `table`.
+        by: (dx, dy) that the jaws go with it, mm in `table`.
+        ends: How it may come to lie.
         opening: Clear opening of the jaws during all of it, mm.
         approach: Down to the table beside it.
         push: Straight along the table.
@@ -74,6 +75,7 @@ class NudgePlan:
     target: LocatedObject
     moved: LocatedObject
     by: Point
+    ends: tuple[LocatedObject, ...]
     opening: float
     approach: Trajectory
     push: Trajectory

@@ -92,6 +92,16 @@ def sides(part: LocatedObject) -> tuple[Side, ...]:
     return tuple(Side(direction % math.pi, quality) for direction, quality in offers)
 
 
+def fitting_sides(part: LocatedObject, gripper: Gripper) -> list[Side]:
+    """Those of the directions that a part's outline offers along which it is not too wide or too narrow."""
+    narrowest, widest = gripper.opening
+    return [
+        side
+        for side in sides(part)
+        if narrowest <= _flush(part, part.footprint, side.direction) <= widest - 2.0 * OPENING_MARGINS[-1]
+    ]
+
+
 def oblique_sides(part: LocatedObject, across: float) -> tuple[Side, ...]:
     """Directions a little off the flats, for when no flat is free: the closing jaws turn the part flush.
 

@@ -19,6 +19,7 @@ from controller.domain import Array, Bin, Gripper, LocatedObject, Point
 from controller.errors import NoClearGrasp
 from controller.geometry import angle_difference
 from controller.motion import grasps, pushing
+from controller.motion.sliding import FRICTION, slide
 
 GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
 TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the least that frees the target first
@@ -31,10 +32,8 @@ _INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: s
 _COST_INTO = 20.0  # 45 deg into two of them still parts them best
 _TAKES_ALONG = 0.5  # cosine above which a neighbour is taken along
 _LEAST_TURN = math.radians(15.0)  # less is not worth a push of its own
-_TURNING_TRAVEL = 30.0  # mm after which a part of up to 50 mm lies with a side against the box
-_LEVER_WORTH = 3.0  # mm of travel that a turn is worth for each mm beside the middle
 # What makes one push better than another that frees the target as well, in mm of travel.
-_COST_NEIGHBOUR, _COST_NARROW, _COST_BLOCKED = 10.0, 8.0, 40.0
+_COST_NEIGHBOUR, _COST_NARROW, _COST_UNSURE, _COST_BLOCKED = 10.0, 8.0, 30.0, 40.0
 _SAME_PLACE, _SAME_WAY = 3.0, 0.9  # mm; cosine: what is pushed so again has not given way
 _BACK = 12.0  # mm about where a part lay before it was pushed: it is not pushed there again
 _MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
@@ -47,22 +46,26 @@ class Push:
     Attributes:
         moved: The part that is pushed.
         start: (x, y) of the closed gripper's middle where it comes down, mm.
-        by: (dx, dy) that the gripper goes, mm.
-        direction: Closing direction of the jaws, rad.
-        travel: How far the part is expected to go, mm.
-        lever: How far beside the part's middle the gripper meets it, mm: what turns it.
-        slack: How far the gripper goes beyond `GAP` and the part's sigma until it meets the part, mm.
+        ahead: Unit vector that the gripper goes along.
+        way: How far it goes, mm.
+        travel: How far of it with the part before it, mm; before the push is settled, the most that is free.
+        direction: Closing direction of the jaws where they come down, rad.
         cost: The less the better.
+        ends: How the part may come to lie.
     """
 
     moved: LocatedObject
     start: Point
-    by: Point
-    direction: float
+    ahead: Point
+    way: float
     travel: float
-    lever: float
-    slack: float
+    direction: float
     cost: float
+    ends: tuple[LocatedObject, ...] = ()
+
+    def going(self, travel: float, cost: float, ends: tuple[LocatedObject, ...]) -> Push:
+        """The same push, so far."""
+        return replace(self, way=self.way - self.travel + travel, travel=travel, cost=cost, ends=ends)
 
 
 def pushes(
@@ -89,15 +92,7 @@ def pushes(
         NoClearGrasp: No push, or no other, would free it.
     """
     scene = _Scene(target, tuple(others), tuple(bins), np.ascontiguousarray(area, np.float32), gripper, tangent)
-    found: list[Push] = []
-    for moved in (target, *scene.culprits()):
-        blocked = scene.solid_about(moved)
-        rest = scene.rest_without(moved)
-        for heading, direction in scene.headings(moved):
-            for push in scene.free_pushes(moved, heading, direction, blocked):
-                freed = scene.first_that_frees(push, rest)
-                if freed is not None:
-                    found.append(freed)
+    found = [push for moved in (target, *scene.culprits()) for push in scene.freeing(moved)]
     if not found and scene.lies_askew:
         found = list(scene.turnings())
     # Where more than one neighbour stands in the way no single push is enough: one that loosens the heap is a start.
@@ -122,10 +117,12 @@ class _Scene:
     gripper: Gripper
     tangent: Callable[[Point], float] | None
 
+    # --- what to push, and how far --------------------------------------------------------------------------
+
     def culprits(self) -> list[LocatedObject]:
         """Neighbours, each of which alone keeps the target from being taken, nearest first."""
         near = self.neighbours()
-        return [thing for thing in near if self.can_be_taken(self.target, self.rest_without(thing))]
+        return [thing for thing in near if self._can_be_taken(self.target, self._outlines_without(thing))]
 
     def neighbours(self) -> list[LocatedObject]:
         """Everything that can stand in the target's way, nearest first."""
@@ -133,64 +130,123 @@ class _Scene:
         near = [thing for thing in self.others if _distance(thing, self.target) < reach]
         return sorted(near, key=lambda thing: _distance(thing, self.target))
 
+    @property
+    def lies_askew(self) -> bool:
+        """The jaws could not take the target with nothing around it."""
+        return not self._can_be_taken(self.target, np.empty((0, 2)))
+
+    def freeing(self, moved: LocatedObject) -> Iterable[Push]:
+        """Of each push of a part the shortest after which the target can be taken for sure, else perhaps."""
+        rest = self._outlines_without(moved)
+        for ways in self._slides(moved):
+            perhaps = None
+            for push in ways:
+                freed = [self._freed(moved, end, rest) for end in push.ends]
+                if all(freed):
+                    yield self._priced(push)
+                    break
+                if any(freed) and perhaps is None:
+                    perhaps = push
+            else:
+                if perhaps is not None:
+                    yield replace(self._priced(perhaps), cost=self._priced(perhaps).cost + _COST_UNSURE)
+
+    def turnings(self) -> Iterable[Push]:
+        """Pushes that turn the target nearer to how the jaws could take it, for where one is not enough."""
+        askew = self._askew(self.target)
+        for ways in self._slides(self.target):
+            for push in ways:
+                left = max(self._askew(end) for end in push.ends)
+                if askew - left > _LEAST_TURN:
+                    yield replace(push, cost=push.cost + math.degrees(left))
+
     def shoves(self, moved: LocatedObject) -> Iterable[Push]:
         """Pushes of a part past or into its neighbours, to loosen a heap; the less into it the better."""
-        blocked = self.solid_about(moved)
         center = np.array(moved.center)
         rest = [thing for thing in (self.target, *self.others) if thing is not moved]
         touching = [thing for thing in rest if _distance(thing, moved) < _NEIGHBOURHOOD]
         ways = [np.array(thing.center) - center for thing in touching]
         if not ways:
             return
-        for heading, direction in self.headings(moved):
-            ahead = np.array([math.cos(heading), math.sin(heading)])
+        for push in self._landings(moved, self._solid_about(moved)):
+            ahead = np.array(push.ahead)
             into = max(float(way @ ahead) / max(float(np.hypot(*way)), 1e-6) for way in ways)
             taken = [way for way in ways if way @ ahead > _TAKES_ALONG * np.hypot(*way)]
             ends = [center + way + SHOVE * ahead for way in (np.zeros(2), *taken)]
-            if into > _INTO or not all(self._inside(end) for end in ends):
-                continue
-            for push in self.free_pushes(moved, heading, direction, blocked, through=True):
-                by = (GAP + moved.sigma + push.slack + SHOVE) * ahead
+            if into <= _INTO and all(self._inside(end) for end in ends):
                 cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
-                yield replace(push, by=(float(by[0]), float(by[1])), travel=SHOVE, cost=cost)
+                yield push.going(SHOVE, cost, (pushing.shifted(moved, (*(SHOVE * ahead), 0.0)),))
 
-    @property
-    def lies_askew(self) -> bool:
-        """The jaws could not take the target with nothing around it."""
-        return not self.can_be_taken(self.target, np.empty((0, 2)))
+    # --- one push -------------------------------------------------------------------------------------------
 
-    def turnings(self) -> Iterable[Push]:
-        """Pushes that turn the target, for where a single one does not turn it far enough; the further the better."""
-        target = self.target
-        blocked = self.solid_about(target)
-        for heading, direction in self.headings(target):
-            for push in self.free_pushes(target, heading, direction, blocked):
-                ahead = np.array(push.by)
-                if push.lever == 0.0 or push.travel < _TURNING_TRAVEL:
+    def _slides(self, moved: LocatedObject) -> Iterable[list[Push]]:
+        """Every free push of a part, with each travel in turn until it meets something or leaves the area."""
+        blocked = self._solid_about(moved)
+        free = [push for push in self._landings(moved, blocked) if push.travel >= TRAVELS[0]]
+        if not free:
+            return
+        center = np.array(moved.center)
+        hull = pushing.coarse(pushing.hull_of(moved) - center)
+        starts, aheads = np.array([push.start for push in free]), np.array([push.ahead for push in free])
+        ways = np.array([push.way - push.travel for push in free])[:, None] + np.array(TRAVELS)
+        turns = np.array([self._turns(push, way) for push, way in zip(free, ways[:, -1], strict=True)])
+        poses = [slide(hull, self.gripper, starts - center, aheads, turns, ways, friction) for friction in FRICTION]
+        clear = np.logical_and.reduce([pushing.keeps_clear(hull, pose, blocked - center) for pose in poses])
+        for row, push in enumerate(free):
+            found = []
+            for column, travel in enumerate(TRAVELS):
+                ends = tuple(pushing.shifted(moved, pose[row, column]) for pose in poses)
+                if travel > push.travel or not clear[row, column] or not all(self._inside(end.center) for end in ends):
+                    break
+                found.append(push.going(travel, push.cost + travel, ends))
+            yield found
+
+    def _turns(self, push: Push, way: float) -> tuple[float, float]:
+        """Closing directions at the start and the end of a push: without a wrist roll it turns with the waist."""
+        if self.tangent is None:
+            return push.direction, push.direction
+        end = np.array(push.start) + way * np.array(push.ahead)
+        return push.direction, push.direction + angle_difference(self.tangent(_point(end)), push.direction, math.pi)
+
+    def _landings(self, moved: LocatedObject, blocked: Array) -> Iterable[Push]:
+        """Pushes of one part for which the gripper has room to come down, and to go ahead as far as `travel` says.
+
+        What the part itself meets on its way is not asked here.
+        """
+        center = np.array(moved.center)
+        hull = pushing.hull_of(moved) - center
+        rim = pushing.rim_of(hull)
+        away = blocked - center
+        room, gap = grasps.MIN_CLEARANCE + moved.sigma, GAP + moved.sigma
+        for heading, direction in self._headings(moved):
+            ahead = np.array([math.cos(heading), math.sin(heading)])
+            left = np.array([-ahead[1], ahead[0]])
+            cost = 0.0 if abs(math.sin(heading - direction)) > 0.5 else _COST_NARROW
+            fingers = pushing.finger_edges(self.gripper, direction, ahead, left)
+            if self.tangent is not None:
+                # The gripper turns with the waist: where it comes down it stands otherwise than at the part.
+                place = center + (float((hull @ ahead).min()) - fingers[..., 0].max()) * ahead
+                fingers = pushing.finger_edges(self.gripper, self.tangent(_point(place)), ahead, left)
+            deep, wide = float(fingers[..., 0].max()), float(fingers[..., 1].max())
+            along, beside = away @ ahead, away @ left
+            for aside in _ASIDE:
+                # The box keeps clear of what of the rim lies in its way, which need not be the rearmost corner.
+                met = rim[np.abs(rim @ left - aside) < wide + room]
+                if not len(met):
                     continue
-                end = pushing.lands(target, _TURNING_TRAVEL * ahead)[-1]
-                turn = abs(angle_difference(end.yaw or 0.0, target.yaw or 0.0, target.shape.period or math.pi))
-                if turn > _LEAST_TURN and self._inside(np.array(end.center)):
-                    by = (GAP + target.sigma + push.slack + _TURNING_TRAVEL) * ahead
-                    cost = push.cost - math.degrees(turn)
-                    yield replace(push, by=(float(by[0]), float(by[1])), travel=_TURNING_TRAVEL, cost=cost)
+                middle = float((met @ ahead).min()) - gap - deep
+                lane = np.abs(beside - aside) < wide + room
+                if (lane & (np.abs(along - middle) < deep + room)).any():
+                    continue
+                until = pushing.contact(fingers, rim @ ahead - middle, rim @ left - aside)
+                free = float(along[lane & (along > middle)].min(initial=math.inf)) - middle - deep - room
+                free = min(free, until + TRAVELS[-1])
+                if math.isfinite(until):
+                    start = _point(center + middle * ahead + aside * left)
+                    turned = direction if self.tangent is None else self.tangent(start)
+                    yield Push(moved, start, _point(ahead), free, free - until, turned, cost + abs(aside))
 
-    def _inside(self, place: Array) -> bool:
-        return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
-
-    def rest_without(self, moved: LocatedObject) -> Array:
-        """Points on everything near the target but itself and `moved`."""
-        rest = [thing for thing in self.others if thing is not moved]
-        within = grasps.reach_about(self.target, self.gripper) + max(TRAVELS)
-        return grasps.obstacles(rest, self.bins, self.target.center, within)
-
-    def solid_about(self, moved: LocatedObject) -> Array:
-        """Points on everything near a part but itself."""
-        rest = [thing for thing in (self.target, *self.others) if thing is not moved]
-        within = 2.0 * max(TRAVELS) + self.gripper.opening[1] + max(moved.size)
-        return grasps.obstacles(rest, self.bins, moved.center, within)
-
-    def headings(self, moved: LocatedObject) -> Iterable[tuple[float, float]]:
+    def _headings(self, moved: LocatedObject) -> Iterable[tuple[float, float]]:
         """(heading of the push, closing direction).
 
         The broad face of the gripper leads, or its narrow one; without a wrist roll a corner of it may.
@@ -205,89 +261,26 @@ class _Scene:
             for k in range(_HEADINGS):
                 yield direction + 2.0 * math.pi * k / _HEADINGS, direction
 
-    def free_pushes(
-        self, moved: LocatedObject, heading: float, direction: float, blocked: Array, *, through: bool = False
-    ) -> Iterable[Push]:
-        """Pushes of one part along one heading as far as nothing is in the way; `travel` is the most that is free.
+    # --- what it is good for --------------------------------------------------------------------------------
 
-        With `through` only the place where the gripper comes down must be free: what is ahead is pushed along.
-        """
-        ahead = np.array([math.cos(heading), math.sin(heading)])
-        left = np.array([-ahead[1], ahead[0]])
-        broad = abs(math.sin(heading - direction)) > 0.5
-        hull = pushing.hull_of(moved) - np.array(moved.center)
-        fingers = pushing.finger_edges(self.gripper, direction, ahead, left)
-        if self.tangent is not None:
-            # The gripper turns with the waist: where it comes down it stands otherwise than at the part.
-            x, y = np.array(moved.center) + (float((hull @ ahead).min()) - fingers[..., 0].max()) * ahead
-            fingers = pushing.finger_edges(self.gripper, self.tangent((float(x), float(y))), ahead, left)
-        deep, wide = float(fingers[..., 0].max()), float(fingers[..., 1].max())
-        away = blocked - np.array(moved.center)
-        along, beside = away @ ahead, away @ left
-        room = grasps.MIN_CLEARANCE + moved.sigma
-        most = pushing.free_travel(hull, ahead, left, along, beside)
-        gap = GAP + moved.sigma
-        rim = pushing.rim_of(hull)
-        for aside in _ASIDE:
-            # The box keeps clear of what of the rim lies in its way, which need not be the rearmost corner.
-            met = rim[np.abs(rim @ left - aside) < wide + room]
-            if not len(met):
-                continue
-            first = met[np.argmin(met @ ahead)]
-            middle = float(first @ ahead) - gap - deep
-            lane = np.abs(beside - aside) < wide + room
-            if (lane & (np.abs(along - middle) < deep + room)).any():
-                continue
-            coming = along[lane & (along > middle)]
-            slack, lever = pushing.contact(fingers, rim @ ahead - middle, rim @ left - aside, aside)
-            slack -= gap
-            free = min(most, float(coming.min(initial=math.inf)) - middle - deep - room - gap - slack)
-            if not math.isfinite(slack) or (free < TRAVELS[0] and not through):
-                continue
-            start = np.array(moved.center) + middle * ahead + aside * left
-            cost = abs(aside) + (0.0 if broad else _COST_NARROW)
-            yield Push(
-                moved, (float(start[0]), float(start[1])), (float(ahead[0]), float(ahead[1])), direction, free,
-                lever, slack, cost,
-            )  # fmt: skip
-
-    def first_that_frees(self, push: Push, rest: Array) -> Push | None:
-        """The push with the least travel after which the target can be taken past the `rest`, or None."""
-        ahead, moved = np.array(push.by), push.moved
-        # What the jaws could not take with nothing around is pushed in order to be turned.
-        turns = moved is self.target and self.lies_askew
-        gap = GAP + moved.sigma
-        for travel in TRAVELS:
-            if turns and travel < _TURNING_TRAVEL:
-                continue
-            if travel > push.travel:
-                return None
-            if not self._inside(np.array(moved.center) + travel * ahead):
-                return None
-            ends = pushing.lands(moved, travel * ahead)
-            if push.lever == 0.0:
-                # Both fingers hold a side or a corner of it.
-                ends = ends[:1]
-            elif turns:
-                ends = ends[-1:]
-            if all(self._freed(moved, end, rest) for end in ends):
-                cost = push.cost + travel - (_LEVER_WORTH * push.lever if turns else 0.0)
-                if moved is not self.target:
-                    cost += _COST_NEIGHBOUR
-                    stays = [thing for thing in (self.target, *self.others) if thing is not moved]
-                    within = grasps.reach_about(moved, self.gripper)
-                    if not self.can_be_taken(ends[-1], grasps.obstacles(stays, self.bins, ends[-1].center, within)):
-                        cost += _COST_BLOCKED
-                by = (gap + push.slack + travel) * ahead
-                return replace(push, by=(float(by[0]), float(by[1])), travel=travel, cost=cost)
-        return None
+    def _priced(self, push: Push) -> Push:
+        """A push that frees the target, dearer where a neighbour is pushed, and where that cannot be taken then."""
+        moved = push.moved
+        if moved is self.target:
+            return push
+        stays = [thing for thing in (self.target, *self.others) if thing is not moved]
+        within = grasps.reach_about(moved, self.gripper)
+        takable = all(
+            self._can_be_taken(end, grasps.obstacles(stays, self.bins, end.center, within)) for end in push.ends
+        )
+        return replace(push, cost=push.cost + _COST_NEIGHBOUR + (0.0 if takable else _COST_BLOCKED))
 
     def _freed(self, moved: LocatedObject, end: LocatedObject, rest: Array) -> bool:
         if moved is self.target:
-            return self.can_be_taken(end, rest)
-        return self.can_be_taken(self.target, np.vstack([rest, grasps.solid(end)]))
+            return self._can_be_taken(end, rest)
+        return self._can_be_taken(self.target, np.vstack([rest, grasps.dense(end.footprint)]))
 
-    def can_be_taken(self, part: LocatedObject, blocked: Array) -> bool:
+    def _can_be_taken(self, part: LocatedObject, blocked: Array) -> bool:
         """Whether the jaws have a free grasp of a part past points of obstacles."""
         tangent = None if self.tangent is None else self.tangent(part.center)
         try:
@@ -296,13 +289,43 @@ class _Scene:
             return False
         return True
 
+    def _askew(self, part: LocatedObject) -> float:
+        """How far a part is turned away from the nearest of its sides that the jaws can close flush on, rad."""
+        if self.tangent is None:
+            return 0.0
+        direction = self.tangent(part.center)
+        fitting = grasps.fitting_sides(part, self.gripper)
+        return min((abs(angle_difference(direction, side.direction, math.pi)) for side in fitting), default=0.0)
+
+    def _inside(self, place: Array | Point) -> bool:
+        return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
+
+    def _outlines_without(self, moved: LocatedObject) -> Array:
+        """Points along all outlines near the target but its own and that of `moved`."""
+        rest = [thing for thing in self.others if thing is not moved]
+        within = grasps.reach_about(self.target, self.gripper) + max(TRAVELS)
+        return grasps.obstacles(rest, self.bins, self.target.center, within)
+
+    def _solid_about(self, moved: LocatedObject) -> Array:
+        """Points on and inside everything near a part but itself: no box may come down inside an outline either."""
+        rest = [thing for thing in (self.target, *self.others) if thing is not moved]
+        points = [grasps.obstacles(rest, self.bins, moved.center, 2.0 * max(TRAVELS) + self.gripper.opening[1])]
+        for thing in rest:
+            center = np.array(thing.center)
+            points += [center + share * (thing.footprint - center) for share in (0.75, 0.5, 0.25)]
+        return np.concatenate(points)
+
 
 def _again(push: Push, lay: Point, by: Point) -> bool:
     """Whether a push repeats one that has moved nothing, or takes what was pushed back to where it lay."""
-    ahead = np.array(push.by) / math.hypot(*push.by)
-    stays = math.dist(push.moved.center, lay) < _SAME_PLACE and float(ahead @ by) > _SAME_WAY * math.hypot(*by)
-    return stays or math.dist(np.array(push.moved.center) + push.travel * ahead, lay) < _BACK
+    along = float(np.dot(push.ahead, by)) > _SAME_WAY * math.hypot(*by)
+    stays = along and math.dist(push.moved.center, lay) < _SAME_PLACE
+    return stays or any(math.dist(end.center, lay) < _BACK for end in push.ends)
 
 
 def _distance(a: LocatedObject, b: LocatedObject) -> float:
     return math.dist(a.center, b.center)
+
+
+def _point(place: Array) -> Point:
+    return float(place[0]), float(place[1])

@@ -376,16 +376,15 @@ class Planner:
         tall = max([target.height, *(other.height for other in others)])
         rounded = stop.rise - min(tall + PART_BELOW_TIPS + gripper.jaw_depth - height + 2.0, stop.rise)
         approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)
-        along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*push.by, 0.0]))
+        by = push.way * np.array([*push.ahead, 0.0])
+        along = straight(self.arm, stop.low, self._T[:3, :3] @ by)
         shove = self._moves.calm("push", [along], [], PUSH_SPEED)
         up = stroke(self.arm, along.end, stop.rise)
         home = line(self.arm, up.end, np.array(self.arm.ready))
         retreat = self._moves.along("retreat", [up, home], [(rounded, ways.CORNER)])
         self.gate.check_moves((shove, retreat), approach.positions[-1], opening)
-        share = push.travel / math.hypot(*push.by)
-        return NudgePlan(
-            target, push.moved, (push.by[0] * share, push.by[1] * share), opening, approach, shove, retreat
-        )
+        gone = push.travel * push.ahead[0], push.travel * push.ahead[1]
+        return NudgePlan(target, push.moved, gone, push.ends, opening, approach, shove, retreat)
 
     def _flat(self, outline: Array) -> Array:
         """An outline (N, 2) of the table's surface, given in `table`, in `base`."""

@@ -1,4 +1,4 @@
-"""What a straight push with the closed jaws does to a part: where they meet it, how far it may go, how it comes to lie.
+"""What a straight push with the closed jaws does to a part: where they meet it, what it may meet, how it comes to lie.
 
 Planar, in `table` (mm, rad).
 """
@@ -6,35 +6,39 @@ Planar, in `table` (mm, rad).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from controller.domain import Array, Gripper, LocatedObject, Shape
+from controller.domain import Array, Gripper, LocatedObject
 from controller.geometry import wrap
 from controller.motion import grasps
 
-BUMP = 3.0  # mm a pushed part keeps from others: it may turn a little on its way
-_LARGEST_TURN = math.radians(50.0)  # a pushed part turns until a side lies against the box: 45 deg for a square
-_HALF_WIDE = 9.0  # mm beside the middle of its push that a part still is pushed and not turned away
-_BOTH = 2.0  # mm within which both fingers meet a part about at once
+BUMP = 3.0  # mm a pushed part keeps from others, unless it lies nearer already and goes away from them
+_TOUCHED = 0.5  # mm: nearer than at first by more, it would push what it lies beside
+_CORNERS = 16  # of what has no fewer
 
 
-def free_travel(hull: Array, ahead: Array, left: Array, along: Array, beside: Array) -> float:
-    """How far a hull about its centre may go until it comes within `BUMP` of one of the points before it, mm."""
-    across = hull @ left
-    half = np.maximum(np.abs(across).max(), _HALF_WIDE) + BUMP
-    reach = float((hull @ ahead).max())
-    lane = (np.abs(beside) < half) & (along > 0.0)
-    if not lane.any():
-        return math.inf
-    # The front of a hull is its farthest point beside a lane of twice BUMP about each obstacle.
-    edge = rim_of(hull)
-    gaps = np.abs((edge @ left)[None] - beside[lane][:, None])
-    front = np.where(gaps < 2.0 * BUMP, (edge @ ahead)[None], -math.inf).max(axis=1)
-    front = np.where(np.isfinite(front), front, -reach)
-    return float((along[lane] - front).min()) - BUMP
+def keeps_clear(hull: Array, poses: Array, points: Array) -> NDArray[np.bool_]:
+    """Whether a hull that is moved keeps away from points of obstacles, in each pose and all before: (P, T).
+
+    Args:
+        hull: ndarray of shape (H, 2): its corners about its middle, counter-clockwise, mm.
+        poses: ndarray of shape (P, T, 3): it moved by (dx, dy) mm and turned by rad.
+        points: ndarray of shape (N, 2), mm.
+    """
+    sides = np.roll(hull, -1, axis=0) - hull
+    normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
+    offsets = (normals * hull).sum(axis=1)
+    wanted = np.minimum((points @ normals.T - offsets).max(axis=1) - _TOUCHED, BUMP)
+    c, s = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
+    turned = np.stack([c * normals[:, 0] - s * normals[:, 1], s * normals[:, 0] + c * normals[:, 1]], axis=-2)
+    shifts = (poses[..., None, :2] @ turned)[..., 0, :] + offsets
+    apart = (points @ turned - shifts[..., None, :]).max(axis=-1)
+    return np.logical_and.accumulate((apart >= wanted).all(axis=-1), axis=1)
 
 
 def finger_edges(gripper: Gripper, direction: float, ahead: Array, left: Array) -> Array:
@@ -57,32 +61,20 @@ def finger_edges(gripper: Gripper, direction: float, ahead: Array, left: Array) 
     return np.concatenate(edges)
 
 
-def contact(fingers: Array, along: Array, beside: Array, aside: float) -> tuple[float, float]:
-    """How far fingers go ahead until they meet points of a rim, and how far beside the rim's middle that is, mm.
+def contact(fingers: Array, along: Array, beside: Array) -> float:
+    """How far fingers go ahead until they meet points of a rim, mm; inf when they pass on both sides of it.
 
     Args:
         fingers: See `finger_edges`.
         along: ndarray of shape (N,): the points, ahead of the gripper's middle.
         beside: ndarray of shape (N,): the points, left of it.
-        aside: How far the gripper's middle stands left of the rim's.
-
-    Returns:
-        inf and 0 when they pass on both sides of it. What both fingers meet is not turned: 0 beside.
     """
     start, end = fingers[:, 0], fingers[:, 1]
     across = end[:, 1] - start[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (beside[:, None] - start[:, 1]) / across
         front = start[:, 0] + share * (end[:, 0] - start[:, 0])
-    ways = along[:, None] - np.where((share >= 0.0) & (share <= 1.0), front, -math.inf)
-    nearest = ways.reshape(len(along), 2, -1).min(axis=(0, 2))  # of each finger
-    way = float(nearest.min())
-    if not math.isfinite(way):
-        return math.inf, 0.0
-    if nearest.max() - way < _BOTH:
-        return way, 0.0
-    index = int(ways.min(axis=1).argmin())
-    return way, abs(float(beside[index]) + aside)
+    return float((along[:, None] - np.where((share >= 0.0) & (share <= 1.0), front, -math.inf)).min())
 
 
 def rim_of(hull: Array) -> Array:
@@ -90,32 +82,20 @@ def rim_of(hull: Array) -> Array:
     return np.vstack([hull, grasps.dense(hull)])
 
 
-def lands(moved: LocatedObject, by: Array) -> tuple[LocatedObject, ...]:
-    """How a part pushed by (dx, dy) mm may come to lie: as it was, and turned until a side lies against the box."""
-    center = np.array(moved.center)
-    ahead = by / math.hypot(*by)
-    straight = replace(
-        moved, center=(float(center[0] + by[0]), float(center[1] + by[1])), footprint=moved.footprint + by
-    )
-    if moved.shape is Shape.CIRCLE:
-        return (straight,)
-    hull = hull_of(moved)
-    edges = np.roll(hull, -1, axis=0) - hull
-    edges = edges[np.linalg.norm(edges, axis=1) > 0.3 * max(moved.size)]
-    if not len(edges):
-        return (straight,)
-    # Outward normals of the sides long enough to come to rest on, for a hull walked counter-clockwise.
-    turns = np.arctan2(-ahead[1], -ahead[0]) - np.arctan2(-edges[:, 0], edges[:, 1])
-    turns = (turns + math.pi) % (2.0 * math.pi) - math.pi
-    turn = float(turns[np.argmin(np.abs(turns))])
-    if abs(turn) > _LARGEST_TURN:
-        return (straight,)
+def shifted(part: LocatedObject, by: Sequence[float] | Array) -> LocatedObject:
+    """A part moved by (dx, dy) mm and turned by rad about its middle."""
+    dx, dy, turn = map(float, by)
+    x, y = part.center
     c, s = math.cos(turn), math.sin(turn)
-    footprint = (moved.footprint - center) @ np.array([[c, s], [-s, c]]) + center + by
-    period = moved.shape.period
-    yaw = None if moved.yaw is None or period is None else wrap(moved.yaw + turn, period)
-    flush = replace(straight, footprint=footprint, yaw=yaw)
-    return straight, flush
+    footprint = (part.footprint - part.center) @ np.array([[c, s], [-s, c]]) + (x + dx, y + dy)
+    period = part.shape.period
+    yaw = None if part.yaw is None or period is None else wrap(part.yaw + turn, period)
+    return replace(part, center=(x + dx, y + dy), footprint=footprint, yaw=yaw)
+
+
+def coarse(hull: Array) -> Array:
+    """A hull with at most 16 corners or so: as many as a round part needs to slide like one."""
+    return hull[:: max(len(hull) // _CORNERS, 1)]
 
 
 def hull_of(part: LocatedObject) -> Array:

@@ -2,7 +2,7 @@
 
 Layouts: parts of 34 to 44 mm (squares, circles, hexagons, triangles) at random, 1 mm apart at least, on a ring
 sector 150 to 240 mm from the waist, 50 degrees to either side: 8 or 12 of them on some 280 cm2. Nothing is simulated:
-where a pushed part comes to lie is drawn between what pushing straight and turning flush would give, within 3 mm.
+where a pushed part comes to lie is drawn between what little and much friction would give, within 3 mm.
 The planner's own gate judges every move. `python -m tests.benchmarks.crowded --clear` asks the physics engine instead.
 
     python -m tests.benchmarks.finger_room [--layouts N] [--seed N] [--arms NAME ...] [--parts N ...]
@@ -20,7 +20,6 @@ from controller.config.arm import load_arm
 from controller.domain import LocatedObject, Shape
 from controller.errors import NoClearGrasp, PlanError
 from controller.motion.planner import Planner
-from controller.motion.pushing import lands
 from tests.benchmarks.motion import AREA
 from tests.unit.motion.scene import PARTS, at, bins, calibration, part, polygon_gap
 
@@ -97,8 +96,7 @@ class Table:
                 continue
             tries[id(thing.detection)] = tries.get(id(thing.detection), 0) + 1
             self._room.nudges += 1
-            ends = lands(plan.moved, np.array(plan.by))
-            end = ends[int(self._rng.integers(len(ends)))]
+            end = plan.ends[int(self._rng.integers(len(plan.ends)))]
             self.left = [self._shaken(end, other) if other is plan.moved else other for other in self.left]
             return True
         return False

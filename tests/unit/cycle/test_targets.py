@@ -143,6 +143,6 @@ def test_what_was_pushed_far_is_not_taken_for_the_part_that_was_dropped() -> Non
     target = book.choose(thing(100, 0), 0.0)
     target.attempts, target.lost = 1, True
     book.identify([circle])
-    book.pushed(circle, (0.0, 30.0))
+    book.pushed([thing(0, 30, Shape.CIRCLE)])
     named, _ = book.identify([thing(2, 33, Shape.CIRCLE), thing(5, 60, Shape.RECTANGLE)])
     assert [item.shape for item in named] == [Shape.CIRCLE, Shape.OTHER]
