@@ -70,6 +70,26 @@ class Camera(Protocol):
         ...
 
 
+GLANCE_SCALE = 8
+"""How much smaller than its frames a camera's glances are, in both directions."""
+
+GLANCE_PERIOD = 0.1
+"""s between two glances at least: in it a hand reaches 90 mm, and a tenth of a core decodes what one needs."""
+
+
+@runtime_checkable
+class GlanceSource(Protocol):
+    """A camera that shows what comes while nobody waits for a frame."""
+
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        """Have frames told as they come from now on, averaged down by `GLANCE_SCALE`; None: no longer.
+
+        The listener is called where the frames come from, a thread or the simulated world, at most once every
+        `GLANCE_PERIOD`, and must neither block nor raise.
+        """
+        ...
+
+
 @runtime_checkable
 class Arm(Protocol):
     """A serial arm with a parallel gripper. Only `energise`, `follow` and `grip` move metal."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from controller.domain import Frame
 from controller.errors import CameraLost, FrameStale
+from controller.ports import GLANCE_PERIOD
 from sim_backends.painter import Image
 from sim_backends.world import TICK, Snapshot, World
 
@@ -26,18 +27,27 @@ class SimulatedCamera:
     Args:
         world: Owner of time and motion; gets this camera on its tick.
         paint: Makes the picture of a snapshot.
+        sketch: Makes a glance of it.
         latency: From the end of the exposure to the delivery of the frame, s.
     """
 
-    def __init__(self, world: World, paint: Callable[[Snapshot], Image], latency: float) -> None:
+    def __init__(
+        self,
+        world: World,
+        paint: Callable[[Snapshot], Image],
+        sketch: Callable[[Snapshot], Image],
+        latency: float,
+    ) -> None:
         self._world = world
-        self._paint = paint
+        self._paint, self._sketch = paint, sketch
         self._latency = latency
         self._open = False
         self._count = 0
         self._next = 0.0
         self._given = -1.0
         self._exposed: deque[Snapshot] = deque(maxlen=_KEPT)
+        self._listener: Callable[[Frame], None] | None = None
+        self._glanced = self._shown = -1.0
 
     def open(self) -> None:
         """Make frames available."""
@@ -72,13 +82,20 @@ class SimulatedCamera:
         self._count += 1
         return Frame(self._count, shot.at + EXPOSURE / 2.0, image, _NAME)
 
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        """Have glances told as they are delivered from now on, within the world's time; None: no longer."""
+        self._listener = listener
+
     def _delivered(self, after: float) -> Snapshot | None:
         """The newest exposure begun at or after `after` that has arrived and was not given out before."""
-        arrived = self._world.now() - EXPOSURE / 2.0 - self._latency + 1e-9
-        for shot in reversed(self._exposed):
-            if shot.at <= arrived:
-                return shot if shot.at - EXPOSURE / 2.0 >= after - 1e-9 and shot.at > self._given else None
-        return None
+        shot = self._arrived()
+        fresh = shot is not None and shot.at - EXPOSURE / 2.0 >= after - 1e-9 and shot.at > self._given
+        return shot if fresh else None
+
+    def _arrived(self) -> Snapshot | None:
+        """The newest exposure that has arrived."""
+        latest = self._world.now() - EXPOSURE / 2.0 - self._latency + 1e-9
+        return next((shot for shot in reversed(self._exposed) if shot.at <= latest), None)
 
     def _tick(self) -> None:
         """The middle of an exposure, when one is due: the world as it is now."""
@@ -87,3 +104,12 @@ class SimulatedCamera:
             self._next += PERIOD
             self._exposed.append(self._world.snapshot())
             self._world.remember()
+        if self._listener is not None and now >= self._glanced + GLANCE_PERIOD - 1e-9:
+            self._show(self._listener)
+
+    def _show(self, listener: Callable[[Frame], None]) -> None:
+        """Tell the newest exposure that has arrived, unless it was told before."""
+        shot = self._arrived()
+        if shot is not None and shot.at > self._shown:
+            self._glanced, self._shown = self._world.now(), shot.at
+            listener(Frame(self._count, shot.at + EXPOSURE / 2.0, self._sketch(shot), _NAME))

@@ -96,7 +96,7 @@ class SimulatedCell:
         self.presenter = Hands(self.lens, self.T_base_table, imperfections, spec.seed)
         self._painter = self._make_painter(self.lens, imperfections)
         self._overview: tuple[object, Painter] | None = None
-        self.camera = SimulatedCamera(self.world, self._paint, imperfections.latency)
+        self.camera = SimulatedCamera(self.world, self._paint, self._painter.glance, imperfections.latency)
 
     @property
     def plant(self) -> Plant:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Frame
 from controller.errors import CameraError, CameraLost, FrameStale
-from controller.ports import Camera, Clock
+from controller.ports import Camera, Clock, GlanceSource
 
 Image = NDArray[np.uint8]
 
@@ -142,16 +142,30 @@ class FaultyCamera:
             raise CameraError("faulty camera", "capture", "it gives frames of 640 x 480, not of the calibrated size")
         frame = self._camera.capture(after, timeout)
         self._refuse_if_lost("capture")
-        image = frame.image
         if self._due("frozen", frame.captured_at) and self._shown is not None:
-            image = self._shown
+            frame = dataclasses.replace(frame, image=self._shown)
+        frame = self._spoiled(frame)
+        frame.image.setflags(write=False)
+        self._shown = frame.image
+        return frame
+
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        """Glances of the camera, spoiled as its frames are; none while none would come or the last comes again."""
+        if isinstance(self._camera, GlanceSource):
+            self._camera.glance(None if listener is None else lambda frame: self._pass_on(frame, listener))
+
+    def _pass_on(self, glance: Frame, listener: Callable[[Frame], None]) -> None:
+        if not any(self._due(kind, glance.captured_at) for kind in ("lost", "stalled", "failed", "frozen")):
+            listener(self._spoiled(glance))
+
+    def _spoiled(self, frame: Frame) -> Frame:
+        """The frame with what is wrong with its picture when it was exposed."""
+        image = frame.image
         for kind, spoil in PICTURE_FAULTS.items():
             if self._due(kind, frame.captured_at):
                 image = spoil(image)
         if self._due("ragged", frame.captured_at) and frame.frame_id % 4:
             image = _torn(image)
-        image.setflags(write=False)
-        self._shown = image
         return dataclasses.replace(frame, image=image)
 
     def _due(self, kind: str, at: float) -> bool:

@@ -21,6 +21,7 @@ from sim_backends.painter_raster import GROWTH, blend, clean, coverage, distinct
 from sim_backends.painter_scene import Scene, View, meet
 from sim_backends.painter_shadow import Shadows
 from sim_backends.painter_surface import NO_MAP, Print, Projector, table_texture
+from sim_backends.sketch import Sketcher
 from sim_backends.solids import Array, Solid, box
 from sim_backends.world import Snapshot
 from sim_backends.world_model import TABLE_HIGH, TABLE_LOW, TABLE_THICKNESS
@@ -82,6 +83,7 @@ class Painter:
         self._group = np.array([names.index(g) if g else -1 for g in groups])
         self._prints = prints
         self._set_stage(len(names))
+        self._sketcher: Sketcher | None = None
 
     def _set_stage(self, groups: int) -> None:
         """Paint once what never moves: the ground with its shadows, and on a copy of it the fixed solids."""
@@ -118,7 +120,7 @@ class Painter:
         picture = self._stage.copy()
         if sheet is not None:
             self._lay(picture, sheet)
-        moving = ~self._fixed & ~self._parts if snapshot.aside else ~self._fixed
+        moving = self._moving(snapshot)
         vertices = self._scene.move(snapshot.positions, snapshot.rotations)
         view = self._scene.view(vertices, self.lens)
         again = self._overlapped(view.boxes[moving & view.inside])
@@ -131,6 +133,20 @@ class Painter:
         if board is not None:
             self._lay(picture, board)
         return self._expose(picture)
+
+    def glance(self, snapshot: Snapshot) -> Image:
+        """The picture of a moment without prints, an eighth as large, (H / 8, W / 8, 3), dtype uint8, BGR."""
+        if self._sketcher is None:
+            look, slope = self._look, self._lamp[:2] / self._lamp[2]
+            self._sketcher = Sketcher(
+                self._stage, self._light, self._scene, self.lens, slope, look.shadow_depth, look.noise, self._seed
+            )
+        vertices = self._scene.move(snapshot.positions, snapshot.rotations)
+        return self._sketcher.paint(vertices, self._moving(snapshot))
+
+    def _moving(self, snapshot: Snapshot) -> NDArray[np.bool_]:
+        """Which solids are there and are not part of the stage."""
+        return ~self._fixed & ~self._parts if snapshot.aside else ~self._fixed
 
     def _overlapped(self, boxes: Array) -> list[int]:
         """Fixed groups that something in these boxes may cover or be covered by, and those that overlap them."""

@@ -74,6 +74,15 @@ class Guard:
         elif self._rim.crossed(frame.image):
             raise Intruder("something reaches over the table", "clear the view, then controller resume")
 
+    def check_glance(self, glance: Frame) -> None:
+        """Look at a glance as at a frame; nothing is known before the first frame.
+
+        Raises:
+            Intruder: Something reaches over the table.
+        """
+        if self._rim is not None and self._rim.crossed_in_glance(glance.image):
+            raise Intruder("something reaches over the table", "clear the view, then controller resume")
+
     def check_things(self, found: Located) -> None:
         """Look for things that no part can be.
 

@@ -18,11 +18,12 @@ from controller.cycle.motions import Motions
 from controller.cycle.outcomes import Outcomes
 from controller.cycle.requests import Requests
 from controller.cycle.rig import Look, Rig
+from controller.cycle.sentry import Sentry
 from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
 from controller.cycle.view import MARGIN_MM
 from controller.domain import Frame, PickPlan, Result
-from controller.errors import CameraError, LedgerError, PartHeld
+from controller.errors import CameraError, Intruder, LedgerError, PartHeld
 from controller.vision.detect import Detected
 
 
@@ -78,10 +79,10 @@ class Handlers:
         self._rig, self.next_rig = rig, None
         view = rig.config.work_area_outline(rig.calibration.T_base_table, MARGIN_MM)
         self._stock = Stock(rig.config, self._filled)
-        self._motions.adopt(rig, view)
+        self.looker = Looker(rig, self._motions.pose_at)
+        self._motions.adopt(rig, view, Sentry(rig.camera, self.looker.guard, self._requests).on_duty)
         self._motions.planner = rig.planner.filled(self._stock.piles())
         self._holding.adopt(rig)
-        self.looker = Looker(rig, self._motions.pose_at)
         self._memory = Memory()
         self._chooser = Chooser(rig, self._book, self._stock, view)
 
@@ -112,6 +113,8 @@ class Handlers:
         if self._most_parts is not None and self._outcomes.concluded >= self._most_parts:
             return "stopped"
         motions = self._motions
+        if motions.stranded:
+            motions.home()
         if not self.looker.is_ahead and motions.retreat is not None and not motions.view_is_clear():
             motions.step_back()
         if motions.retreat is None:
@@ -169,7 +172,11 @@ class Handlers:
         for observer in self._rig.observers:
             observer.attempted(plan, target.attempts)
         self._outcomes.at_work = target
-        refusal = self._motions.take(plan, proved=self._rig.pick_proof)
+        try:
+            refusal = self._motions.take(plan, proved=self._rig.pick_proof)
+        except Intruder as hand:
+            self._failed(target, plan, hand.cause)
+            raise
         return "picked" if refusal is None else self._missed(target, plan, refusal)
 
     def place(self) -> str:
@@ -276,15 +283,19 @@ class Handlers:
 
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:
         """Let go of whatever it is, and go where the camera sees all."""
-        self._outcomes.at_work = None
-        target.reason = refusal
-        for observer in self._rig.observers:
-            observer.failed(plan, refusal)
+        self._failed(target, plan, refusal)
         self._motions.grip(plan.grasp.opening)
         self._motions.home()
         if not self._book.rests(target, self._rig.config.cycle.attempts, self._outcomes.concluded):
             self._outcomes.conclude(target, Result.GRASP_MISSED, refusal)
         return "missed"
+
+    def _failed(self, target: Target, plan: PickPlan, reason: str) -> None:
+        """The arm is no longer at work on a target, which may be tried again."""
+        self._outcomes.at_work = None
+        target.reason = reason
+        for observer in self._rig.observers:
+            observer.failed(plan, reason)
 
     def _look_ahead(self, plan: PickPlan) -> None:
         """Begin the next look, when the camera sees past the arm and somebody will want it."""

@@ -37,6 +37,9 @@ class _Ahead:
 class Looker:
     """Looks at the table of a rig; `close` ends its thread.
 
+    Attributes:
+        guard: Tells what should not be over the table.
+
     Args:
         rig: The cell.
         pose_at: Where the joints stood at a time (s of the cell's clock): ndarray of shape (J,), rad.
@@ -47,7 +50,7 @@ class Looker:
         self._plane = rig.calibration.plane(rig.config.shape_plane_mm)
         self._region: NDArray[np.uint8] | None = None
         self._backdrop: Backdrop | None = None
-        self._guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
+        self.guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="look-ahead")
         self._ahead: _Ahead | None = None
 
@@ -109,7 +112,7 @@ class Looker:
                 clock.charge(rest)
             for observer in self._rig.observers:
                 observer.worked_ahead(ahead.began, ahead.began + budget)
-        self._guard.check_frame(frame)
+        self.guard.check_frame(frame)
         return detected
 
     def locate(self, detected: Detected) -> tuple[Located, list[LocatedObject]]:
@@ -120,7 +123,7 @@ class Looker:
         """
         config = self._rig.config
         found = locate(detected.detections, self._rig.calibration, self._rig.part_height)
-        self._guard.check_things(found)
+        self.guard.check_things(found)
         things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
         narrowest = config.vision.narrowest_mm
         return found, [toppled(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
@@ -131,7 +134,7 @@ class Looker:
         Raises:
             Intruder: A hand, or something larger than any part, is over the table.
         """
-        self._guard.check_frame(frame)
+        self.guard.check_frame(frame)
         self.locate(self._detect(frame, self._hidden(frame)))
 
     def _detect(self, frame: Frame, hidden: NDArray[np.uint8]) -> Detected:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.cycle import proof
 from controller.cycle.holding import RELEASES
+from controller.cycle.requests import Interrupted
 from controller.cycle.rig import Rig
 from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
 from controller.errors import MotionTimeout, PartHeld
@@ -20,10 +24,6 @@ _CLEAR_STEP = 0.05
 """s between the poses of a move at which the view is judged."""
 
 
-class Interrupted(Exception):
-    """A move was ended by a stop request."""
-
-
 class Motions:
     """Moves the arm of a rig, and knows where it has come to stand.
 
@@ -33,6 +33,7 @@ class Motions:
         last: When the last motion ended, s of the cell's clock.
         positions: ndarray of shape (J,): where the joints stood then, rad.
         retreat: The way out of the bin over which the last part was let go, not yet carried out; or None.
+        stranded: The arm stands where it was stopped on its way down, over the table.
 
     Args:
         rig: The cell.
@@ -47,16 +48,21 @@ class Motions:
         self.last = 0.0
         self.positions: NDArray[np.float64] = np.array(rig.arm.description.ready)
         self.retreat: Trajectory | None = None
+        self.stranded = False
+        self._watch: Callable[[], AbstractContextManager[None]] = nullcontext
         self._way: tuple[NDArray[np.float64], float, float] = (self.positions[None], 1.0, 0.0)
 
-    def adopt(self, rig: Rig, view: NDArray[np.float64]) -> None:
+    def adopt(
+        self, rig: Rig, view: NDArray[np.float64], watch: Callable[[], AbstractContextManager[None]]
+    ) -> None:
         """Take over a rig with the same arm.
 
         Args:
             rig: The rig.
             view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
+            watch: In force while the arm goes down; may end that move, and raises `Intruder` then.
         """
-        self._rig, self.view, self.planner = rig, view, rig.planner
+        self._rig, self.view, self.planner, self._watch = rig, view, rig.planner, watch
 
     def start(self) -> None:
         """Torque on where the arm stands."""
@@ -66,6 +72,7 @@ class Motions:
     def home(self) -> None:
         """To the ready pose, out of the camera's sight."""
         self.follow(self.planner.home(self._rig.arm.state().positions))
+        self.stranded = False
 
     def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Carry out a move; see `Arm.follow`.
@@ -109,6 +116,7 @@ class Motions:
 
         Raises:
             Interrupted: A move was ended early by a stop.
+            Intruder: The way down was, by something that reaches over the table.
         """
         arrival = self._go_down(plan.approach, plan.grasp.opening)
         refusal = proof.obstruction(arrival, plan.approach)
@@ -124,6 +132,7 @@ class Motions:
 
         Raises:
             Interrupted: A move was ended early by a stop.
+            Intruder: The way down was, by something that reaches over the table.
         """
         arrival = self._go_down(plan.approach, plan.opening)
         if proof.obstruction(arrival, plan.approach) is not None:
@@ -141,10 +150,14 @@ class Motions:
         return True
 
     def _go_down(self, approach: Trajectory, opening: float) -> MoveReport:
-        """An approach; from deep in a bin the jaws move when they are past what lies there."""
+        """An approach under watch; from deep in a bin the jaws move when they are past what lies there."""
         out_of_bin = self.planner.rise_time(approach, self.climb) if self.climb else 0.0
         self.retreat = None
-        return self.follow(approach, opening, out_of_bin)
+        self.stranded = True
+        with self._watch():
+            arrival = self.follow(approach, opening, out_of_bin)
+        self.stranded = False
+        return arrival
 
     def let_go(self, grasp: Grasp) -> None:
         """Open the jaws a little, and as wide as they came if they keep what is between them.

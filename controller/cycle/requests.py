@@ -7,6 +7,10 @@ import threading
 from controller.ports import Arm
 
 
+class Interrupted(Exception):
+    """A move was ended early by a stop."""
+
+
 class Requests:
     """Keeps what was asked for, and tells the arm at once.
 
@@ -44,6 +48,16 @@ class Requests:
         """No pause is in force any more."""
         self._pause.clear()
         self._arm.resume()
+
+    def halt(self) -> None:
+        """End the move under way along its path, and begin no other before `end_halt`; from any thread."""
+        self._arm.request_stop()
+
+    def end_halt(self) -> None:
+        """The arm may be moved again, unless somebody has asked for a stop meanwhile."""
+        self._arm.clear_stop()
+        if self.stopped:
+            self._arm.request_stop()
 
     @property
     def stopped(self) -> bool:

@@ -13,9 +13,9 @@ from controller.cycle.ending import Ending
 from controller.cycle.handlers import Handlers
 from controller.cycle.holding import Holding
 from controller.cycle.machine import CellMachine, State
-from controller.cycle.motions import Interrupted, Motions
+from controller.cycle.motions import Motions
 from controller.cycle.outcomes import Outcomes
-from controller.cycle.requests import Requests
+from controller.cycle.requests import Interrupted, Requests
 from controller.cycle.rig import Rig
 from controller.cycle.targets import TargetBook
 from controller.errors import CameraEnded, CameraError, Intruder, LedgerError, PartHeld, SorterError

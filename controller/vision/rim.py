@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_SCALE = 8  # the strip is looked at this much coarser: arms are wide, and noise and grain average out
+from controller.ports import GLANCE_SCALE
+
 _TINT = 0.15  # least difference between the channels' ratios to the reference: shadows keep the colour
 _DARK, _BRIGHT = 0.5, 1.4  # beyond: no shadow of a lamp in a lit room, no change of light between two looks
 _OFFSET = 8.0  # of 255, so that ratios of dark pixels mean something
 _REACH = 3  # pixels of the coarse picture that a crossing may miss at either end
+_SPARSE = 7  # every so manieth pixel of the strip tells the light of the room
 _LEAST = 12  # pixels of the coarse picture: narrower than a finger is nothing
 
 
@@ -28,9 +30,10 @@ class Rim:
     """
 
     def __init__(self, image: NDArray[np.uint8], strip: NDArray[np.uint8], inside: NDArray[np.uint8]) -> None:
-        self._reference = _coarse(image)
-        size = self._reference.shape[1], self._reference.shape[0]
-        self._strip = cv2.resize(strip, size, interpolation=cv2.INTER_AREA) == 255
+        reference = _coarse(image)
+        size = reference.shape[1], reference.shape[0]
+        self._strip = np.flatnonzero(cv2.resize(strip, size, interpolation=cv2.INTER_AREA) == 255)
+        self._before = reference.reshape(-1, 3)[self._strip] + _OFFSET
         around = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
         self._inner = cv2.dilate((cv2.resize(inside, size, interpolation=cv2.INTER_AREA) > 0).astype(np.uint8), around)
         self._outer = np.zeros(size[::-1], np.uint8)
@@ -38,12 +41,22 @@ class Rim:
 
     def crossed(self, image: NDArray[np.uint8]) -> bool:
         """Whether something reaches from the edge of a picture, (H, W, 3), into the work area."""
-        ratio = (_coarse(image) + _OFFSET) / (self._reference + _OFFSET)
+        return self.crossed_in_glance(_coarse(image))
+
+    def crossed_in_glance(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
+        """The same of a picture that is averaged down already: arms are wide, and noise and grain average out."""
+        ratio = (small.reshape(-1, 3)[self._strip] + _OFFSET) / self._before
         # The room's light may have changed as a whole.
-        ratio /= np.median(ratio[self._strip], axis=0)
-        low, high, mean = ratio.min(axis=2), ratio.max(axis=2), ratio.mean(axis=2)
-        changed = self._strip & ((high - low > _TINT) | (mean < _DARK) | (mean > _BRIGHT))
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(changed.astype(np.uint8), connectivity=8)
+        ratio /= np.median(ratio[::_SPARSE], axis=0)
+        blue, green, red = ratio.T
+        tint = np.maximum(np.maximum(blue, green), red) - np.minimum(np.minimum(blue, green), red)
+        mean = (blue + green + red) / 3.0
+        changed = (tint > _TINT) | (mean < _DARK) | (mean > _BRIGHT)
+        if changed.sum() < _LEAST:
+            return False
+        where = np.zeros(self._outer.shape, np.uint8)
+        where.flat[self._strip[changed]] = 1
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(where, connectivity=8)
         for label in range(1, count):
             if stats[label, cv2.CC_STAT_AREA] < _LEAST:
                 continue
@@ -54,5 +67,5 @@ class Rim:
 
 
 def _coarse(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    small = cv2.resize(image, None, fx=1.0 / _SCALE, fy=1.0 / _SCALE, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, None, fx=1.0 / GLANCE_SCALE, fy=1.0 / GLANCE_SCALE, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from controller.domain import Frame
 from controller.errors import FrameStale, PictureUnusable
-from controller.ports import Camera, Clock
+from controller.ports import GLANCE_SCALE, Camera, Clock, GlanceSource
 from controller.vision.landmarks import MOVED, Landmarks
 from controller.vision.scenery import Mask, Scenery, drift, trouble
 
@@ -117,6 +117,15 @@ class WatchedCamera:
             self.torn += 1
             after = frame.captured_at
 
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        """Have glances told that lack no part; none come from a camera that gives none."""
+        if isinstance(self._camera, GlanceSource):
+            self._camera.glance(None if listener is None else lambda frame: self._pass_on(frame, listener))
+
+    def _pass_on(self, glance: Frame, listener: Callable[[Frame], None]) -> None:
+        if not is_torn(glance.image, TORN_ROWS // GLANCE_SCALE):
+            listener(glance)
+
     def _judge(self, frame: Frame) -> None:
         # A copy, so that the frame itself is not kept alive.
         sample = np.ascontiguousarray(frame.image[::_STEP, ::_STEP])
@@ -189,8 +198,8 @@ def _part(sample: NDArray[np.uint8], low: int, high: int) -> float:
     return cv2.countNonZero(inside) / inside.size
 
 
-def is_torn(image: NDArray[np.uint8]) -> bool:
+def is_torn(image: NDArray[np.uint8], rows: int = TORN_ROWS) -> bool:
     """The last rows of a picture, shape (H, W, 3), are one flat middle grey, as decoders fill what is missing."""
-    bottom = image[-TORN_ROWS:, ::_STEP]
+    bottom = image[-rows:, ::_STEP]
     low, high = int(bottom.min()), int(bottom.max())
     return low == high and _GREY[0] <= low <= _GREY[1]

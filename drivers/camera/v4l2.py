@@ -11,9 +11,13 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from controller.domain import Frame
 from controller.errors import CameraError, CameraLost, FrameStale
-from controller.ports import Clock
+from controller.ports import GLANCE_PERIOD, GLANCE_SCALE, Clock
 from drivers.camera.capture import Capture, open_capture
 from drivers.camera.settings import Refused, check_names
 from drivers.camera.stream import Stream
@@ -79,6 +83,8 @@ class V4l2Camera:
         self._reader: threading.Thread | None = None
         self._closing = threading.Event()
         self._request: _Request | None = None
+        self._listener: Callable[[Frame], None] | None = None
+        self._glanced = -math.inf
         self._lost: CameraError | None = None
         self._newest = -math.inf
         self._one_at_a_time = threading.Lock()
@@ -147,6 +153,10 @@ class V4l2Camera:
             "check the cable, the USB hub and the load of the computer",
         )
 
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        """Have glances told by the reading thread as frames come from now on; None: no longer."""
+        self._listener = listener
+
     # --- the reader's thread --------------------------------------------------------------------------
 
     def _start(self) -> Stream:
@@ -188,12 +198,16 @@ class V4l2Camera:
         """Take the next frame off the device, and decode it if it is the one that is waited for."""
         bad = stream.bad_frames
         exposure = stream.grab()
-        request, image = self._request, None
-        if exposure is not None and request is not None and request.frame is None:
-            # After a stall of this program the device's queue holds old frames.
-            young = self._clock.now() - exposure.ended <= self._age_limit
-            if young and exposure.began >= request.after:
-                image = stream.image()
+        request, listener, image = self._request, self._listener, None
+        # After a stall of this program the device's queue holds old frames.
+        if exposure is not None and self._clock.now() - exposure.ended <= self._age_limit:
+            if request is not None and (request.frame is not None or exposure.began < request.after):
+                request = None
+            due = listener is not None and exposure.ended >= self._glanced + GLANCE_PERIOD
+            image = stream.image() if due or request is not None else None
+            if due and listener is not None and image is not None:
+                self._glanced = exposure.ended
+                listener(Frame(self._frames, exposure.ended, _small(image), self._device))
         with self._changed:
             self.bad_frames += stream.bad_frames - bad
             self._lost = None
@@ -203,3 +217,8 @@ class V4l2Camera:
                     self._frames += 1
                     request.frame = Frame(self._frames, exposure.ended, image, self._device)
             self._changed.notify_all()
+
+
+def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    scale = 1.0 / GLANCE_SCALE
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from controller.domain import Frame
 from controller.errors import CameraLost, FrameStale
-from controller.ports import Camera, Clock
+from controller.ports import GLANCE_PERIOD, GLANCE_SCALE, Camera, Clock, GlanceSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,3 +97,27 @@ class CameraSuite:
         second = camera.capture(cell.clock.now())
         assert second.frame_id == first.frame_id + 1
         assert second.captured_at > first.captured_at
+
+
+class GlanceSuite(CameraSuite):
+    """For cameras that show what comes while nobody waits for a frame."""
+
+    def test_glances_are_small_come_in_order_and_end(self, cell: CameraCell, camera: Camera) -> None:
+        assert isinstance(camera, GlanceSource)
+        told: list[Frame] = []
+        camera.glance(told.append)
+        while len(told) < 3:
+            camera.capture(cell.clock.now())
+        camera.glance(None)
+        for _ in range(2):
+            # The first may still be on its way.
+            camera.capture(cell.clock.now())
+            count = len(told)
+        for _ in range(6):
+            camera.capture(cell.clock.now())
+        assert len(told) == count
+        rows, columns = (round(side / GLANCE_SCALE) for side in cell.size[::-1])
+        assert all(frame.image.shape == (rows, columns, 3) and frame.image.dtype == np.uint8 for frame in told)
+        times = [frame.captured_at for frame in told]
+        # A camera exposes on its own beat: a glance may be up to a frame early or late.
+        assert all(later - earlier > 0.6 * GLANCE_PERIOD for earlier, later in itertools.pairwise(times))

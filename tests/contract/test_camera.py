@@ -18,7 +18,7 @@ from drivers.clock import MonotonicClock
 from sim_backends.faulty_camera import FaultyCamera
 from sim_backends.replay_camera import ReplayCamera
 from sim_backends.virtual_clock import VirtualClock
-from tests.contract.camera_suite import CameraCell, CameraSuite
+from tests.contract.camera_suite import CameraCell, CameraSuite, GlanceSuite
 from tests.fake_capture import FakeCapture
 
 SIZE = (64, 48)
@@ -50,7 +50,7 @@ class TestWatchedCamera(CameraSuite):
         return CameraCell(WatchedCamera(FaultyCamera(replay.camera, clock, []), clock), clock, SIZE)
 
 
-class TestV4l2CameraOnAScriptedDevice(CameraSuite):
+class TestV4l2CameraOnAScriptedDevice(GlanceSuite):
     @pytest.fixture
     def cell(self) -> Iterator[CameraCell]:
         clock = VirtualClock(5.0)
@@ -66,7 +66,7 @@ class TestV4l2CameraOnAScriptedDevice(CameraSuite):
         camera.close()
 
 
-class TestSimulatedCamera(CameraSuite):
+class TestSimulatedCamera(GlanceSuite):
     @pytest.fixture
     def cell(self) -> Iterator[CameraCell]:
         pytest.importorskip("mujoco", reason="the extra `sim` is not installed")
@@ -79,7 +79,7 @@ class TestSimulatedCamera(CameraSuite):
 
 
 @pytest.mark.hardware
-class TestV4l2Camera(CameraSuite):
+class TestV4l2Camera(GlanceSuite):
     """The camera named by SORTER_CAMERA, at 1280x720."""
 
     @pytest.fixture

@@ -70,6 +70,7 @@ class BenchCamera:
     def __init__(self, clock: VirtualClock) -> None:
         self.failures: list[SorterError] = []
         self.opened = 0
+        self.listener: Callable[[Frame], None] | None = None
         self._clock = clock
 
     def open(self) -> None:
@@ -77,6 +78,9 @@ class BenchCamera:
 
     def close(self) -> None:
         pass
+
+    def glance(self, listener: Callable[[Frame], None] | None) -> None:
+        self.listener = listener
 
     def capture(self, after: float, timeout: float = 2.0) -> Frame:
         if self.failures:
@@ -154,6 +158,20 @@ class Bench(Observer):
                 raise Intruder("a hand", "take it away")
 
         self._patch.setattr(Guard, "check_frame", check)
+
+    def reach_over_on_the_way(self, moves: Container[int]) -> None:
+        """Something reaches over the table in the middle of these moves that are watched; 1 is the first."""
+        count = itertools.count(1)
+
+        def check(guard: Guard, glance: Frame) -> None:
+            raise Intruder("a hand", "take it away")
+
+        def commanded(command: dict[str, object]) -> None:
+            if self.camera.listener is not None and next(count) in moves:
+                self.camera.listener(Frame(1, self.clock.now(), IMAGE))
+
+        self._patch.setattr(Guard, "check_glance", check)
+        self.on_command = commanded
 
     def locate(self, *_: object) -> Located:
         """What lies on the table."""

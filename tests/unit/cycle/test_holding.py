@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from controller.cycle.machine import State
-from controller.domain import Result
+from controller.domain import Frame, Result
 from controller.errors import (
     CameraLost,
     Intruder,
@@ -13,7 +13,7 @@ from controller.errors import (
     PartHeld,
     PictureUnusable,
 )
-from tests.unit.cycle.bench import Bench, part
+from tests.unit.cycle.bench import IMAGE, Bench, BenchCamera, part
 
 S = State
 
@@ -208,3 +208,41 @@ def test_an_operator_cannot_resume_under_a_hand(monkeypatch: pytest.MonkeyPatch)
 def test_something_larger_than_any_part_holds_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0, size=150.0))
     assert isinstance(bench.run().fault, Intruder)
+
+
+@pytest.mark.safety("SR-35")
+def test_a_hand_on_the_way_down_stops_the_arm_and_holds_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.reach_over_on_the_way({1})
+    bench.run()
+    assert isinstance(bench.held_for[0], Intruder)
+    assert bench.commands[2:8] == ["approach", "stop", "clear_stop", "home", "approach", "grip"]
+    assert [(o.result, o.attempts) for o in bench.outcomes] == [(Result.PLACED, 2)]
+    held = bench.states.index(S.HELD)
+    assert bench.states[held - 1 : held + 2] == [S.PICK, S.HELD, S.CAPTURE]
+    assert bench.overcome == 1
+
+
+@pytest.mark.safety("SR-35", "SR-20")
+def test_a_stop_asked_for_when_a_hand_has_stopped_the_arm_still_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.reach_over_on_the_way({1})
+    bench.arm.open()
+    sorter = bench.sorter()
+    monkeypatch.setattr(bench, "held", lambda cause, at: sorter.request_stop())
+    sorter.run()
+    assert sorter.fault is None
+    assert "grip" not in bench.commands
+    assert bench.commands[-3:] == ["clear_stop", "park", "relax"]
+    assert bench.results == [Result.GRASP_MISSED]
+
+
+def test_a_glance_that_comes_after_the_move_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    listeners = []
+    monkeypatch.setattr(BenchCamera, "glance", lambda camera, listener: listeners.append(listener))
+    bench.reach_over_on_the_way(())
+    bench.on_command = lambda c: listeners[0](Frame(1, 0.0, IMAGE)) if c.get("name") == "carry" else None
+    bench.run()
+    assert bench.results == [Result.PLACED]
+    assert bench.held_for == []
