@@ -83,7 +83,7 @@ def _flowing(command: Callable[..., Any] | None) -> str:
     paragraphs = [" ".join(text.split()) for text in (inspect.getdoc(command) or "").split("\n\n")]
     for index, text in enumerate(paragraphs):
         if text.startswith("Example"):
-            paragraphs[index] = text.replace(": ", ":\n  ", 1).replace(" | controller", "\n  controller")
+            paragraphs[index] = text.replace(": ", ":\n$ ", 1).replace(" | controller", "\n$ controller")
     return "\n\n".join(paragraphs)
 
 
