@@ -32,6 +32,6 @@ def with_contacts(found: Sequence[Found]) -> list[Found]:
 def _reaches(item: Found, other: Found) -> bool:
     """Whether a point just outside one face lies in the other."""
     polygon: NDArray[np.float32] = other.face.astype(np.float32)
-    points = np.concatenate([outside(item.face, _GAP, 96), item.face])
+    points = np.concatenate([outside([item.face], [_GAP], 96)[0, 0], item.face])
     near = ((points >= polygon.min(axis=0)) & (points <= polygon.max(axis=0))).all(axis=1)
     return any(cv2.pointPolygonTest(polygon, (float(x), float(y)), False) >= 0.0 for x, y in points[near])

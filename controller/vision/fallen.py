@@ -6,11 +6,14 @@ of focus. Both at once, and going on to the picture's border, is no part anybody
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.proposals import above
+from controller.vision.robust import median
 from controller.vision.scene import Scene, outside
 from controller.vision.selection import shaded
 
@@ -27,29 +30,32 @@ _WIDE = 5
 """Pixels of the picture's rim that a shadow covers at least where it falls in."""
 
 
-def fallen_in(scene: Scene, outline: Floats) -> bool:
-    """Whether an outline (N, 2), px, is that of a shadow, or a part of one, that goes on to the picture's border."""
-    return soft_shade(scene, outline) and _reaches_border(scene, outline)
+def fallen_in(scene: Scene, outlines: Sequence[Floats]) -> list[bool]:
+    """Which of some outlines (N, 2), px, are those of shadows, or of parts of one, that reach the picture's border."""
+    soft = soft_shades(scene, outlines)
+    return [shade and _reaches_border(scene, outline) for shade, outline in zip(soft, outlines, strict=True)]
 
 
-def soft_shade(scene: Scene, outline: Floats) -> bool:
-    """Whether an outline (N, 2), px, holds the table's colour, only darker, and most of its edge is soft.
+def soft_shades(scene: Scene, outlines: Sequence[Floats]) -> list[bool]:
+    """Which of some outlines (N, 2), px, hold the table's colour, only darker, and have an edge that is mostly soft.
 
     Within a shadow it may be darker on one side and lighter on another.
     """
-    distances = scene.factor * np.array([-_FAR, -_NEAR, _NEAR, _FAR])
-    points = np.stack([outside(outline, distance, _POINTS) for distance in distances])
+    if not outlines:
+        return []
+    points = outside(outlines, scene.factor * np.array([-_FAR, -_NEAR, _NEAR, _FAR]), _POINTS)
     limit = np.array(scene.image.shape[1::-1]) - 1.0
-    within = ((points >= 0.0) & (points <= limit)).all(axis=(0, 2))
-    if within.sum() < _LEAST:
-        return False
-    deep, inner, outer, beyond = scene.differences(points[:, within])
-    if shaded(scene, deep).mean() < 0.5:
-        return False
+    within = ((points >= 0.0) & (points <= limit)).all(axis=(0, 3))
+    deep, inner, outer, beyond = scene.differences(points)
+    shade = shaded(scene, deep.reshape(-1, 3)).reshape(within.shape) & within
     # Steps of a shade lie along the table's colour; along that noise counts least.
     table = scene.white.whitener @ scene.white.table_colour
-    near, far = (float(np.median(np.abs(step @ table))) for step in (inner - outer, deep - beyond))
-    return near < _SOFT * far
+    near, far = (np.abs(step @ table) for step in (inner - outer, deep - beyond))
+    out = []
+    for k, use in enumerate(within):
+        dark = use.sum() >= _LEAST and shade[k].sum() >= 0.5 * use.sum()
+        out.append(bool(dark and median(near[k, use], 0) < _SOFT * median(far[k, use], 0)))
+    return out
 
 
 def _reaches_border(scene: Scene, outline: Floats) -> bool:

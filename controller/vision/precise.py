@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from controller.geometry import PlaneMap
 from controller.vision.background import Box, whiten
 from controller.vision.clear import clear_objects
-from controller.vision.fallen import soft_shade
+from controller.vision.fallen import soft_shades
 from controller.vision.leftover import leftovers
 from controller.vision.local_map import local_maps
 from controller.vision.noise import least_step, pixel_noise, without_spikes
@@ -108,7 +108,8 @@ def _search(
         def shadow(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
             return shaded(scene, white.difference[where].astype(np.float64))
 
-        plain = [item for item in found if not soft_shade(scene, item.face)]
+        shades = soft_shades(scene, [item.face for item in found])
+        plain = [item for item, shade in zip(found, shades, strict=True) if not shade]
         found += leftovers(strength, found, plain, factor, there, settings.smallest_px / factor, shadow)
         watch.lap("others")
     return found

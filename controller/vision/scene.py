@@ -18,7 +18,6 @@ from controller.vision.profiles import CHUNKS
 from controller.vision.proposals import Region
 from controller.vision.recipe import Precise
 from controller.vision.refine import Refined
-from controller.vision.shapes import rotated
 
 Floats = NDArray[np.float64]
 
@@ -172,15 +171,15 @@ def boxes(outlines: Sequence[Floats]) -> Floats:
     return np.concatenate([np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)], axis=1)
 
 
-def outside(outline: Floats, distance: float, count: int = 32) -> Floats:
-    """`count` points at a distance, px, outside a closed convex outline."""
-    points = sampled(outline, count)
-    along = rotated(points) - np.concatenate([points[-1:], points[:-1]])
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    if np.sum((points - points.mean(axis=0)) * normal) < 0.0:
-        normal = -normal
-    return np.asarray(points + distance * normal)
+def outside(outlines: Sequence[Floats], distances: Sequence[float] | Floats, count: int = 32) -> Floats:
+    """`count` points (D, K, count, 2) at each of D distances, px, outside each of K closed convex outlines."""
+    points = all_sampled(outlines, count)
+    along = np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1)
+    normal = np.stack([along[..., 1], -along[..., 0]], axis=2)
+    normal /= np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-9)[..., None]
+    outwards = np.vecdot(points - points.mean(axis=1, keepdims=True), normal).sum(axis=1)
+    normal *= np.where(outwards < 0.0, -1.0, 1.0)[:, None, None]
+    return np.asarray(points + np.asarray(distances)[:, None, None, None] * normal)
 
 
 def neighbours(boxes: Floats) -> list[list[int]]:

@@ -136,7 +136,7 @@ def _lies_on_table(scene: Scene, item: Judged, accepted: list[Judged]) -> bool:
     """Whether an outline is surrounded by table, shadow and other objects: no print, glint or hole of something."""
     if scene.regions[item.hypothesis.region].cue == "alone":
         return True
-    points = outside(item.outline, 3.0 + 2.0 * scene.factor + 2.0 * item.refined.blur)
+    points = outside([item.outline], [3.0 + 2.0 * scene.factor + 2.0 * item.refined.blur])[0, 0]
     difference = scene.differences(points)
     strength = np.sqrt(np.vecdot(difference, difference))
     rim = scene.strengths(item.rim, 0.85)
@@ -164,7 +164,7 @@ def stands_alone(scene: Scene, outline: Floats, least: float = _ALONE) -> bool:
     difference = scene.strengths(sampled(outline), 0.93, 0.8)
     strength = np.sqrt(np.vecdot(difference, difference))
     filled = strength > scene.settings.level
-    points = outside(outline, 3.0 + 3.0 * scene.factor)
+    points = outside([outline], [3.0 + 3.0 * scene.factor])[0, 0]
     height, width = scene.image.shape[:2]
     beyond_frame = (points < 0.0).any(axis=1) | (points[:, 0] > width - 1) | (points[:, 1] > height - 1)
     around = np.where(beyond_frame[:, None], 0.0, scene.differences(points))

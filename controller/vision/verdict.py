@@ -26,10 +26,10 @@ Floats = NDArray[np.float64]
 
 def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
     """The objects among the refined outlines."""
-    accepted = [
-        item for item in select(scene, judged)
-        if scene.regions[item.hypothesis.region].cue == "alone" or not fallen_in(scene, item.outline)
-    ]  # fmt: skip
+    accepted = select(scene, judged)
+    alone = [scene.regions[item.hypothesis.region].cue == "alone" for item in accepted]
+    fallen = iter(fallen_in(scene, [item.outline for item, yes in zip(accepted, alone, strict=True) if not yes]))
+    accepted = [item for item, yes in zip(accepted, alone, strict=True) if yes or not next(fallen)]
     holes = has_hole(scene, rims(accepted)).tolist()
     found = [_found(scene, item, hole) for item, hole in zip(accepted, holes, strict=True)]
     watch.lap("judge")
@@ -42,7 +42,8 @@ def judge(scene: Scene, judged: list[Judged], watch: Stopwatch) -> list[Found]:
             whole=[i for i, item in enumerate(accepted) if scene.sides or whole(item) or _all_around(item)],
             strength=None if scene.sides else scene.strength,
         )  # fmt: skip
-        others = [item for item in others if not fallen_in(scene, item.outline)]
+        fallen = iter(fallen_in(scene, [item.outline for item in others]))
+        others = [item for item in others if not next(fallen)]
         merged = {i for item in others for i in item.pieces}
         if not scene.sides:
             merged |= stains(accepted, [(_area(item.outline), item.levels) for item in others])
