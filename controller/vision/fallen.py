@@ -45,7 +45,7 @@ def soft_shades(scene: Scene, outlines: Sequence[Floats]) -> list[bool]:
         return []
     points = outside(outlines, scene.factor * np.array([-_FAR, -_NEAR, _NEAR, _FAR]), _POINTS)
     limit = np.array(scene.image.shape[1::-1]) - 1.0
-    within = ((points >= 0.0) & (points <= limit)).all(axis=(0, 3))
+    within = np.asarray(((points >= 0.0) & (points <= limit)).all(axis=(0, 3)))
     deep, inner, outer, beyond = scene.differences(points)
     shade = shaded(scene, deep.reshape(-1, 3)).reshape(within.shape) & within
     # Steps of a shade lie along the table's colour; along that noise counts least.
