@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.geometry import PlaneMap
+from controller.vision.local_map import LocalMaps
 from controller.vision.profiles import sample
 
 Floats = NDArray[np.float64]
@@ -36,6 +37,21 @@ def feet(tops: Sequence[Floats], plane: PlaneMap, height: float) -> list[Floats]
         return []
     ends = np.cumsum([len(top) for top in tops])[:-1]
     return np.split(foot(np.concatenate(tops), plane, height), ends)
+
+
+def to_feet(centers: Floats, maps: LocalMaps, index: NDArray[np.intp], plane: PlaneMap) -> Floats:
+    """How far (K, 2) the feet of parts lie from their top faces with such centres (K, 2), local units.
+
+    Args:
+        centers: Of the top faces, local coordinates.
+        maps: The local coordinates.
+        index: ndarray of shape (K,): which object of `maps` each belongs to.
+        plane: Half way up the parts.
+    """
+    if not len(centers):
+        return np.empty((0, 2))
+    below = foot(maps.all_to_pixels(index, centers[:, None])[:, 0], plane, 2.0 * plane.height)
+    return np.asarray(maps.many_to_local(index, below[:, None])[:, 0] - centers)
 
 
 def _hulls(tops: Sequence[Floats], below: Sequence[Floats]) -> list[Floats]:

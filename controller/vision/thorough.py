@@ -22,9 +22,9 @@ from controller.vision.proposals import FAINT, Region, split_necks
 from controller.vision.rays import DIRECTIONS, find_edges, radial_profiles
 from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE, area
-from controller.vision.silhouette import foot
+from controller.vision.silhouette import to_feet
 from controller.vision.timing import Stopwatch
-from controller.vision.trial import lies_on, settled, tried, typical_blur
+from controller.vision.trial import HALF_SEEN, lies_on, settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
@@ -36,9 +36,8 @@ _FAINT = 0.75
 """Share of the smallest contrast that a region's boundary must have to be worth a closer look: it is rough."""
 _BESIDE = 3.0
 """How far from a boundary, px of the searched image, its sides are looked at: beyond the blur."""
-_AGREED, _AGREED_SIDES = 0.6, 0.5
-"""Share of the rays whose edges a fit must explain, and that of the best fit around a region's core where side faces
-show: nearly half of a silhouette's edge may be theirs."""
+_AGREED = 0.6
+"""Share of the rays whose edges a fit must explain, unless it is the best around what may be a silhouette."""
 _GOOD = 0.7
 """Badness of a region's best fit up to which its second best is not tried."""
 _WORSE, _WORSE_BY = 1.8, 0.05
@@ -202,7 +201,7 @@ def _plausible(scene: Scene, options: Sequence[Hypothesis], rank: int) -> bool:
     """Whether one of the fits around a region explains enough of its edges to be worth a look at the pixels."""
     h, region = options[rank], scene.regions[options[rank].region]
     leans = scene.sides and rank == 0 and region.core and region.cue == "level"
-    agreed = _AGREED_SIDES if leans else _AGREED
+    agreed = HALF_SEEN if leans else _AGREED
     return h.inliers >= agreed and h.cost <= _WORSE * options[0].cost + _WORSE_BY
 
 
@@ -258,11 +257,8 @@ def _tops(scene: Scene, silhouettes: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Where the top faces would be if outlines were the silhouettes of parts with visible sides."""
     if not silhouettes or scene.plane is None:
         return []
-    index = np.array([h.region for h in silhouettes], np.intp)
     centers = np.array([h.q[:2] for h in silhouettes])
-    pixels = scene.maps.all_to_pixels(index, centers[:, None])[:, 0]
-    below = foot(pixels, scene.plane, 2.0 * scene.plane.height)
-    inwards = scene.maps.many_to_local(index, below[:, None])[:, 0] - centers
+    inwards = to_feet(centers, scene.maps, np.array([h.region for h in silhouettes], np.intp), scene.plane)
     return [_top_within(h, shift) for h, shift in zip(silhouettes, inwards, strict=True)]
 
 

@@ -14,26 +14,32 @@ from controller.vision.chunks import Batch, batch_of, corners
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
 from controller.vision.padded import KINDS, ROUND, areas
+from controller.vision.profiles import CHUNKS
 from controller.vision.proposals import Boxes
 from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, all_sampled, boxes, whole
 from controller.vision.shapes import CIRCLE, area, vertices
-from controller.vision.silhouette import feet
+from controller.vision.silhouette import feet, to_feet
 
 Floats = NDArray[np.float64]
 
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
-_HALF_SEEN = 0.45
-"""Share of a silhouette's outline that its top face's shape explains at least: half its sides may lean into view."""
-_TOP_SEEN, _CLOSE, _CLEAR = 0.7, 0.35, 4.0
-"""Share of a top face's outline that must be seen where side faces show, two of a hexagon's six sides may lean into
-view, if its misfit is no more than that share of what is allowed and its contrast so many times the smallest: the arm's
-shadow has less."""
+HALF_SEEN = 0.5
+"""Share of a silhouette that its top face's shape explains at least: half its sides may lean into view."""
+_CLOSE, _CLEAR = 0.35, 4.0
+"""Of an outline whose side faces hide some of it, the rest is enough if its misfit is no more than that share of what
+is allowed and its contrast so many times the smallest: the arm's shadow has less."""
 _RESTARTS = 3
 """How often an outline with hidden parts may move on."""
 _ALIKE = 0.5, 1.6
 """Ratios of areas between which two outlines around one place are one thing: not a print, nor a pair that touches."""
+_RIM, _RIM_SHARE = 0.4, 0.06
+"""Misfit, px, that side faces seen as a narrow rim cause at most, and as a share of how far the foot lies from the top:
+a chunk sees part of their edge when they are narrower than its profile."""
+_GROWN, _AROUND = 1.6, 8.0
+"""How many times the box of a settled outline the box of a contour may hold that shows the same, and by how many pixels
+of the searched image it may be wider, half of them on either side: its blur and shadow."""
 _THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 
@@ -44,7 +50,7 @@ def tried(
     """Hypotheses refined, those with a visible outline.
 
     Where side faces show, outlines half seen are kept as well, with a badness that nobody believes: they may be
-    silhouettes, whose one half is the top face's.
+    silhouettes, whose one half is the top face's. Of a top face only what has the table beside it must be seen.
 
     Args:
         scene: The frame.
@@ -92,32 +98,42 @@ def _judged(
 ) -> list[Judged | None]:
     """What is to be thought of refined hypotheses; None of what nobody sees."""
     settings, maps = scene.settings, scene.maps
-    least = min(settings.visible, _HALF_SEEN) if scene.sides else settings.visible
+    least = min(settings.visible, HALF_SEEN) if scene.sides else settings.visible
     shown = [
         (i, h, r) for i, (h, r) in enumerate(zip(wanted, refined, strict=True))
         if r is not None and r.visible >= least
         and r.levels >= settings.minimum_contrast and r.contrast >= 1.0
     ]  # fmt: skip
     batch = batch_of([h.family for _, h, _ in shown], [r.q for _, _, r in shown], [h.region for _, h, _ in shown], 1.0)
+    open_ = _open_chunks(scene, batch)
     kept = [
-        (*item, covered, outline)
-        for item, covered, outline in zip(
-            shown, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
+        (*item, float(item[2].seen[own].mean()), covered, outline)
+        for item, own, covered, outline in zip(
+            shown, open_, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
         )
         if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
     ]
     outlines = [outline for *_, outline in kept]
     out: list[Judged | None] = [None] * len(wanted)
     told = zip(kept, all_sampled(outlines), boxes(outlines).tolist(), _slack(scene, outlines), strict=True)
-    for (i, h, r, covered, outline), rim, box, slack in told:
+    for (i, h, r, seen, covered, outline), rim, box, slack in told:
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         badness = r.misfit / allowed
-        clear = r.levels >= _CLEAR * settings.minimum_contrast
-        close = scene.sides and clear and r.visible >= _TOP_SEEN and badness <= _CLOSE
-        if r.visible < settings.visible and not close:
+        clear = badness <= _CLOSE and r.levels >= _CLEAR * settings.minimum_contrast
+        if (seen if clear else r.visible) < settings.visible:
             badness = math.inf
         out[i] = Judged(h, r, badness, outline, rim, covered, box)
     return out
+
+
+def _open_chunks(scene: Scene, batch: Batch) -> NDArray[np.bool_]:
+    """Which chunks (K, CHUNKS) of top faces have the table beside them, and no side face of their own part."""
+    if not scene.sides or scene.plane is None:
+        return np.ones((len(batch.q), CHUNKS), bool)
+    normals, _ = batch.geometry()
+    outwards = to_feet(batch.q[:, :2], scene.maps, batch.index, scene.plane)
+    # A side face narrower than a pixel hides nothing.
+    return np.asarray(np.vecdot(normals, outwards[:, None]) <= 1.0)
 
 
 def _outlines(maps: LocalMaps, batch: Batch) -> list[Floats]:
@@ -148,7 +164,7 @@ def _slack(scene: Scene, outlines: list[Floats]) -> list[float]:
         return [0.0] * len(outlines)
     below = feet(outlines, scene.plane, 2.0 * scene.plane.height)
     shifts = [math.hypot(*(low - top).mean(axis=0)) for top, low in zip(outlines, below, strict=True)]
-    return [min(0.4, 0.06 * shift) if math.isfinite(shift) else 0.0 for shift in shifts]
+    return [min(_RIM, _RIM_SHARE * shift) if math.isfinite(shift) else 0.0 for shift in shifts]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -138,13 +138,18 @@ def on_table(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((pixels - middle) * np.array([_MM, -_MM]))
 
 
-def bent(picture: Picture, plane: PlaneMap) -> Picture:
-    """A fine scene as the camera sees it lie on the table."""
+@cache
+def sources(bent: bool, tilt: float) -> Picture:
+    """Which place (x, y) of the fine scene each pixel of a fine picture shows."""
     width, height = SIZE
     y, x = np.mgrid[: height * _FINE, : width * _FINE].reshape(2, -1)
     pixels = (np.stack([x, y], axis=1) + 0.5) / _FINE - 0.5
-    places = plane.to_plane(pixels) / np.array([_MM, -_MM]) + (np.array(SIZE) * _FINE - 1) / 2.0
-    at = places.astype(np.float32).reshape(height * _FINE, width * _FINE, 2)
+    places = camera(bent, tilt).to_plane(pixels) / np.array([_MM, -_MM]) + (np.array(SIZE) * _FINE - 1) / 2.0
+    return np.asarray(places.reshape(height * _FINE, width * _FINE, 2), np.float32)
+
+
+def on_camera(picture: Picture, at: Picture) -> Picture:
+    """A fine scene as the camera sees it lie on the table, by the `sources` of its pixels."""
     seen = cv2.remap(picture, at, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     small = cv2.resize(seen, SIZE, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), 0.5), np.float32)
@@ -191,12 +196,11 @@ def tally(
 def shown(scenes: Mapping[int, Drawn], view: View, tint: bool, seed: Sequence[int]) -> Shown:
     """A scene, drawn plain and fine, as one view shows it, and what it shows."""
     rng = np.random.default_rng(seed)
-    plane = view.plane
-    scene = scenes[1 if plane is None else _FINE]
+    scene = scenes[1 if view.plane is None else _FINE]
     picture = scene.picture if tint else neutral(scene.picture)
     truth: tuple[Truth, Truth] = (scene.objects, [])
-    if plane is not None:
-        picture, truth = bent(picture, plane), seen_truth(scene, plane)
+    if view.plane is not None and view.tilt is not None:
+        picture, truth = on_camera(picture, sources(view.bent, view.tilt)), seen_truth(scene, view.plane)
     if view.spoil is not None:
         picture = view.spoil(picture, rng)
     taken = exposed(picture, scene.noise, rng)
