@@ -23,8 +23,8 @@ _RIM_MM = 25.0
 """What lies this far beyond the work area's rim may have been pushed there by the jaws, alone or by its neighbour: half
 a part's width."""
 
-NUDGES = 5
-"""Pushes for the sake of one part until another is gone: a long one may need two turns and a way out of a corner."""
+NUDGES = 8
+"""Pushes for the sake of one part until another is gone: a long one may need three turns and a way out of a corner."""
 
 
 class Chooser:

@@ -32,8 +32,8 @@ BIN_WALL = 4.0  # thickness that is kept clear of, mm
 _OUTLINE_STEP = 2.0  # mm between the points of an obstacle's outline; below MIN_CLEARANCE nothing slips through
 _RING_STEP = 8.0  # mm between the rings of points within it, less than a jaw is thick: none comes down between them
 _CIRCLE_DIRECTIONS = 12
-# Turned by less, closing jaws bring a part flush or hold it across its corners; a triangle is held however it lies, if
-# its corners lie well before the jaws (physics study of 12 picks a cell, friction 0.3 to 0.8).
+# Turned by less, closing jaws bring a part flush or hold it across its corners; triangles and hexagons are held however
+# they lie, if no corner comes near a jaw's edge (physics study of 12 picks a cell, friction 0.3 to 0.8).
 _OBLIQUE_TURN = math.radians(15.0)
 _OBLIQUE_QUALITY = 0.4
 # Beyond these the jaws do not bring it flush but hold two opposite corners, which slip out at friction 0.3.
@@ -42,9 +42,10 @@ _CORNER_TURN = {Shape.SQUARE: math.radians(26.0), Shape.RECTANGLE: math.radians(
 # round touches them with one line only, which must stay well off their edge, and so does a triangle's corner.
 _SHIFTS = (4.0, -4.0, 7.0, -7.0)
 _LINE_SHIFTS = (4.0, -4.0)
-# A corner stays before a jaw so far from its edge, or so far beyond it that the jaw bears on the side alone: near the
-# edge it slips off while the part is carried (physics: 222 picks of triangles turned by 1 to 27 deg).
+# A corner of what lies askew stays before a jaw so far from its edge, or so far beyond it that the jaw bears on a side
+# only: near the edge it slips off while the part is carried (physics: 350 picks of triangles, 170 of hexagons).
 _INSIDE_EDGE, _BEYOND_EDGE = 3.0, 1.5
+_FLUSH = math.radians(5.0)  # turned by less, a hexagon has sides before the jaws, not corners
 _SHIFT_QUALITY = 0.8
 _FLUSH_TURN = math.radians(20.0)  # turned by more, shifted jaws might not bring a part flush
 
@@ -132,7 +133,7 @@ def shifted_sides(offers: Sequence[Side], part: LocatedObject, across: float) ->
     found = (
         replace(side, quality=_SHIFT_QUALITY * side.quality, shift=side.shift + by) for by in shifts for side in flat
     )
-    return tuple(side for side in found if part.shape is not Shape.TRIANGLE or _corners_hold(part, side, across))
+    return tuple(side for side in found if _corners_hold(part, side, across))
 
 
 def _turned(part: LocatedObject, direction: float) -> float:
@@ -157,18 +158,22 @@ def fixed_side(part: LocatedObject, direction: float, across: float, corners: bo
 
 
 def _side(part: LocatedObject, direction: float, quality: float, across: float) -> Side:
-    """A side that a part may lie askew to, the jaws where they do not squeeze it out."""
-    side = Side(direction % math.pi, quality)
-    if part.shape is not Shape.TRIANGLE:
-        return side
-    # One jaw turns it about its corner until the other bears on all of the side; turned further, two corners hold it.
-    corner, other = _corners(part, side.direction)
-    turning = replace(side, shift=corner)
-    return turning if _corners_hold(part, turning, across) else replace(side, shift=(corner + other) / 2.0)
+    """A side that a part may lie askew to, the jaws where they do not squeeze it out.
+
+    One jaw holds a corner and turns the part about it, until the other bears on all of a side; or both hold corners.
+    """
+    direction %= math.pi
+    if part.shape is Shape.TRIANGLE:
+        corner, other = _corners(part, direction)
+        shifts: tuple[float, ...] = (corner, (corner + other) / 2.0)
+    else:
+        shifts = (0.0, *_LINE_SHIFTS)
+    offers = [Side(direction, quality, shift) for shift in shifts]
+    return next((side for side in offers if _corners_hold(part, side, across)), offers[0])
 
 
 def _corners(part: LocatedObject, direction: float) -> tuple[float, float]:
-    """How far left of a triangle's middle its foremost corner and the one before the other jaw lie, mm."""
+    """How far left of a part's middle its foremost corner and the one before the other jaw lie, mm."""
     away = part.footprint - np.array(part.center)
     along = away @ np.array([math.cos(direction), math.sin(direction)])
     beside = away @ np.array([-math.sin(direction), math.cos(direction)])
@@ -177,9 +182,14 @@ def _corners(part: LocatedObject, direction: float) -> tuple[float, float]:
 
 
 def _corners_hold(part: LocatedObject, side: Side, across: float) -> bool:
-    """Whether no corner of a triangle comes before a jaw near the jaw's edge, where it would slip off."""
-    first, second = (abs(beside - side.shift) - across / 2.0 for beside in _corners(part, side.direction))
-    return first <= -_INSIDE_EDGE and not -_INSIDE_EDGE < second < _BEYOND_EDGE
+    """Whether no corner of a triangle or hexagon comes before a jaw near the jaw's edge, where it would slip off."""
+    flush = part.shape is Shape.HEXAGON and _turned(part, side.direction) < _FLUSH
+    if flush or part.shape not in (Shape.TRIANGLE, Shape.HEXAGON):
+        return True
+    outside = [abs(beside - side.shift) - across / 2.0 for beside in _corners(part, side.direction)]
+    if part.shape is Shape.TRIANGLE and outside[0] > 0.0:
+        return False  # nothing would stand against the other jaw
+    return not any(-_INSIDE_EDGE < beyond < _BEYOND_EDGE for beyond in outside)
 
 
 def _flush(part: LocatedObject, hull: Array, direction: float) -> float:
