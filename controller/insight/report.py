@@ -28,6 +28,8 @@ FATES = {
 """What became of the parts, in words: the counts that every report begins with."""
 
 _NAMES = {
+    "level": "level of the simulated world",
+    "seed": "its seed",
     "parts": "parts on the table",
     "reachable": "of them within reach",
     **FATES,

@@ -1,6 +1,6 @@
 """A few fields of the fault matrix, a few kills, half a minute of soaking, scripts of faults, and a full disk.
 
-The whole matrix is `tests/benchmarks/fault_matrix.py`, the kills `tests/benchmarks/kills.py`.
+The whole matrix is `tests.benchmarks.fault_matrix`, the kills `tests.benchmarks.kills`.
 """
 
 from __future__ import annotations

@@ -137,6 +137,7 @@ def test_relax_reaches_every_servo_and_names_the_doubtful() -> None:
         assert [i for i in range(1, 7) if bench.register(i, "Torque_Enable")] == [SHOULDER]
 
 
+@pytest.mark.safety("SR-22")
 def test_restarting_a_faulted_servo_gives_it_back() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
@@ -162,7 +163,7 @@ def test_a_fault_that_comes_back_stays_a_fault() -> None:
         assert caught.value.bits == 0x04
 
 
-@pytest.mark.safety("SR-21")
+@pytest.mark.safety("SR-22")
 def test_a_servo_that_reports_an_error_and_holds_is_not_restarted() -> None:
     bench = ArmBench()
     with bench.ready() as arm:
