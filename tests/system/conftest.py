@@ -20,6 +20,8 @@ import pytest
 
 from controller.cli import execute
 from controller.cli.app import ROOMS
+from tests.benchmarks.cell_vision import look_at_cell
+from tests.unit.calibration.certified import certify
 
 Controller = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).parents[2]
@@ -46,6 +48,15 @@ def run_controller(
         timeout=timeout,
         check=False,
     )
+
+
+@pytest.fixture(scope="session")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The certified calibration of the simulated cell of seed 7, level `static`; to be read only."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    look_at_cell(7, 1, "static", folder)
+    certify(folder / "calibration")
+    return folder / "calibration"
 
 
 @pytest.fixture

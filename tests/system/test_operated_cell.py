@@ -25,8 +25,6 @@ from controller.service.lock import InstanceLock
 from controller.service.session import RunOptions, Session
 from drivers.arm.dynamixel import DynamixelArm
 from sim_backends.virtual_clock import VirtualClock
-from tests.benchmarks.cell_vision import look_at_cell
-from tests.unit.calibration.certified import certify
 
 PARTS = 2
 
@@ -112,15 +110,6 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("STATE_DIRECTORY", str(folder))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     return folder
-
-
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The calibration of the simulated cell."""
-    folder = tmp_path_factory.mktemp("cell")
-    look_at_cell(7, PARTS, "static", folder)
-    certify(folder / "calibration")
-    return folder / "calibration"
 
 
 @pytest.fixture

@@ -7,18 +7,25 @@ from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import pytest
 
 from tests.benchmarks.cell_vision import look_at_cell
 from tests.system.conftest import Controller
 
 
-def test_a_replay_writes_the_moves_it_would_command(controller: Controller, tmp_path: Path) -> None:
-    seen = look_at_cell(7, 3, "static", tmp_path)
-    (tmp_path / "pictures").mkdir()
-    cv2.imwrite(str(tmp_path / "pictures" / "a.png"), seen.frame.image)
-    done = controller(
-        "run", "--replay", "pictures", "--calibration", tmp_path / "calibration", "--out", "out", "--json"
-    )
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a picture of three parts in `pictures`, and the calibration that belongs to it."""
+    folder = tmp_path_factory.mktemp("cell")
+    seen = look_at_cell(7, 3, "static", folder)
+    (folder / "pictures").mkdir()
+    cv2.imwrite(str(folder / "pictures" / "a.png"), seen.frame.image)
+    return folder
+
+
+def test_a_replay_writes_the_moves_it_would_command(controller: Controller, cell: Path, tmp_path: Path) -> None:
+    asked = ("run", "--replay", cell / "pictures", "--calibration", cell / "calibration", "--out", "out", "--json")
+    done = controller(*asked)
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["mode"] == "replay"
@@ -35,10 +42,7 @@ def test_a_replay_writes_the_moves_it_would_command(controller: Controller, tmp_
         assert before["to_deg"] == after["from_deg"]
 
 
-def test_without_a_calibration_the_replay_says_how_rough_it_is(controller: Controller, tmp_path: Path) -> None:
-    seen = look_at_cell(7, 1, "ideal", tmp_path)
-    (tmp_path / "pictures").mkdir()
-    cv2.imwrite(str(tmp_path / "pictures" / "a.png"), seen.frame.image)
-    done = controller("run", "--replay", "pictures", "--out", "out")
+def test_without_a_calibration_the_replay_says_how_rough_it_is(controller: Controller, cell: Path) -> None:
+    done = controller("run", "--replay", cell / "pictures", "--out", "out")
     assert done.returncode == 0
     assert "by ruler" in done.stderr

@@ -23,16 +23,8 @@ from controller.ledger.view import LedgerView
 from controller.ports import Clock
 from controller.service import session as session_module
 from controller.service.session import RunOptions, Session
-from tests.benchmarks.cell_vision import look_at_cell
 
 PARTS, SEED = 2, 7
-
-
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("cell")
-    look_at_cell(SEED, 1, "static", folder)
-    return folder / "calibration"
 
 
 class Disk(Observer):
