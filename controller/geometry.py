@@ -149,5 +149,7 @@ class PlaneMap:
     def to_pixels(self, points: ArrayLike) -> Array:
         """Pixels (N, 2) of points (N, 2) of the plane, given in `table`, mm."""
         flat = np.asarray(points, np.float64).reshape(-1, 2)
-        lifted = np.column_stack([flat, np.full(len(flat), self.height)])
-        return self.camera.project(transform(invert(self.T_table_camera), lifted))
+        lifted = np.empty((len(flat), 3))
+        lifted[:, :2], lifted[:, 2] = flat, self.height
+        # Backwards through the pose, without its inverse.
+        return self.camera.project((lifted - self.T_table_camera[:3, 3]) @ self.T_table_camera[:3, :3])

@@ -101,7 +101,7 @@ def look(
     """
     normals_, reach_ = batch.geometry()
     starts, ends, normals = chunk_ends(batch, maps, normals_, reach_)
-    columns = int(np.clip(2 * math.ceil(float(reach.max())) + 1, 11, 41))
+    columns = min(max(2 * math.ceil(float(reach.max())) + 1, 11), 41)
     profiles = sample(image, starts, ends, normals, reach, columns)
     if maps.plane is None:
         middle, outwards = profiles.middle - maps.centers[batch.index][:, None], normals
@@ -203,11 +203,11 @@ def fit(evidence: Evidence, batch: Batch, steps: int) -> State:
         normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
         change = np.linalg.solve(normal, asked)[..., 0]
         np.copyto(change, 0.0, where=~np.isfinite(change))
-        move, swing = np.clip(change[:, :PARAMETERS], -1.5, 1.5), change[:, PARAMETERS]
+        move, swing = np.minimum(np.maximum(change[:, :PARAMETERS], -1.5), 1.5), change[:, PARAMETERS]
         swing = np.minimum(np.maximum(swing, -0.4 * batch.blur), 0.6 * batch.blur)
         settled = bool((np.abs(swing) < _SETTLED * batch.blur).all())
         batch.q += move
-        batch.blur = np.clip(batch.blur + swing, 0.35, 20.0)
+        batch.blur = np.minimum(np.maximum(batch.blur + swing, 0.35), 20.0)
         if step > 0 and settled:
             # So small a step changes the distances by their derivatives, and nothing else.
             shift = (jacobian @ move[..., None])[..., 0]

@@ -23,8 +23,10 @@ _GRID = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 6), np.linspace(-1.0, 1.0, 6
 def _basis(points: Floats) -> Floats:
     x, y = points[..., 0], points[..., 1]
     x2, y2 = x * x, y * y
-    one = np.ones_like(x)
-    return np.stack([one, y, y2, y2 * y, x, x * y, x * y2, x2, x2 * y, x2 * x], axis=-1)
+    out = np.empty((*x.shape, len(_EXPONENTS)))
+    for term, values in enumerate((1.0, y, y2, y2 * y, x, x * y, x * y2, x2, x2 * y, x2 * x)):
+        out[..., term] = values
+    return out
 
 
 _SOLVE = np.linalg.pinv(_basis(_GRID))

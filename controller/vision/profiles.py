@@ -68,7 +68,7 @@ def sample(
     begin = starts.reshape(-1, 2)
     along = ends.reshape(-1, 2) - begin
     length = np.hypot(along[:, 0], along[:, 1])
-    lines = np.clip(np.ceil(length / _APART), 1, _MOST_LINES).astype(np.intp)
+    lines = np.minimum(np.maximum(np.ceil(length / _APART), 1), _MOST_LINES).astype(np.intp)
     last = np.cumsum(lines)
     first = last - lines
     chunk = np.repeat(np.arange(len(lines)), lines)
@@ -96,7 +96,7 @@ def sample(
         values.reshape(*shape, 3),
         middle.reshape(count, chunks, 2),
         offset.astype(np.float32).reshape(shape),
-        np.clip(length, 1.0, 1.5 * _MOST_LINES).reshape(count, chunks),
+        np.minimum(np.maximum(length, 1.0), 1.5 * _MOST_LINES).reshape(count, chunks),
         inside.reshape(shape),
     )
 

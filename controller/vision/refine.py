@@ -27,6 +27,8 @@ _STEPS = 3
 """Gauss-Newton steps a look."""
 _BELIEVED = 6.0
 """Strays up to so many px may be the same edge."""
+_FURTHER = 1.5
+"""How many times the step that strays ask for: an edge far away was measured with half of it out of reach."""
 _PART = 0.6
 """Share of an outline that must be seen for its strays to tell where the rest may lie."""
 _LEAST = 0.5
@@ -179,8 +181,7 @@ def _moved(families: Sequence[Family], items: Sequence[Refined]) -> list[Floats]
     normal = turned @ jacobian
     normal += (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1.0) * _RIDGE
     step = np.linalg.solve(normal, -(turned @ np.where(use, stray, 0.0)[..., None]))[..., 0]
-    # An edge that lies s away was measured with half of it outside the profile's reach.
-    batch.q += 1.5 * step
+    batch.q += _FURTHER * step
     return [q[OWN[kind]] for q, kind in zip(batch.q, batch.kind.tolist(), strict=True)]
 
 

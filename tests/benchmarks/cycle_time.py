@@ -31,7 +31,6 @@ from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
 from controller.cycle.motions import Motions
-from controller.cycle.view import region_mask
 from controller.domain import ArmDescription, MoveReport, Trajectory
 from controller.errors import PlanError
 from controller.insight.evaluation import breakdown, cycles_of, within
@@ -110,11 +109,11 @@ def seeing_times(seen: Seen, config: CellConfig, stages: defaultdict[str, float]
         stages: Has the time of every stage added, s.
     """
     recipe = load_recipe(config.vision.recipe)
-    region = region_mask(config, seen.calibration, seen.frame.size)
+    plane = seen.calibration.plane(config.shape_plane_mm)
     times = []
     for _ in range(REPEATS + 1):
         began = process_time()
-        detected = detect(seen.frame, recipe, plane=seen.calibration.plane(12.0), region=region)
+        detected = detect(seen.frame, recipe, plane=plane, region=seen.region, hidden=seen.hidden)
         found = process_time()
         locate(detected.detections, seen.calibration, config.part_height)
         times.append(process_time() - began)
