@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from controller.cycle.rig import Rig
 from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
-from controller.domain import Array, LocatedObject, NudgePlan, PickPlan, Shape
+from controller.domain import Array, Grasp, LocatedObject, NudgePlan, PickPlan, Shape
 from controller.errors import NoClearGrasp, PlanError
 from controller.geometry import transform
 from controller.motion.planner import Planner
@@ -25,6 +26,9 @@ a part's width."""
 
 NUDGES = 8
 """Pushes for the sake of one part until another is gone: a long one may need three turns and a way out of a corner."""
+
+_AVOIDED = 20
+"""Grasps that are remembered as blocked: as many as a crowded table has parts."""
 
 
 class Chooser:
@@ -45,6 +49,7 @@ class Chooser:
         self._rig, self._book, self._stock, self._view = rig, book, stock, view
         self._others: tuple[LocatedObject, ...] = ()
         self._looked_at: list[LocatedObject] = []
+        self._avoided: deque[Grasp] = deque(maxlen=_AVOIDED)
         self._concluded = 0
         self.queue: list[LocatedObject] = []
         self.blocked: list[LocatedObject] = []
@@ -100,7 +105,7 @@ class Chooser:
             try:
                 plan = planner.plan_pick(
                     thing, others, bin_, self._stock.drop_point(bin_), start,
-                    view=self._view, climb=climb, corners=corners,
+                    view=self._view, climb=climb, corners=corners, avoid=self._avoided,
                 )  # fmt: skip
             except PlanError as error:
                 if isinstance(error, NoClearGrasp):
@@ -118,6 +123,10 @@ class Chooser:
             self._looked_at = [other for other in self._looked_at if other is not thing]
             return target, plan
         return None
+
+    def avoid(self, grasp: Grasp) -> None:
+        """The jaws came down on something: the next try is another grasp."""
+        self._avoided.append(grasp)
 
     def nudge(self, planner: Planner, start: Array, climb: float) -> tuple[Target, NudgePlan] | None:
         """A push that makes room for one of those that are blocked, or None.

@@ -284,6 +284,8 @@ class Handlers:
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:
         """Let go of whatever it is, and go where the camera sees all."""
         self._failed(target, plan, refusal)
+        if self._motions.blocked:
+            self._chooser.avoid(plan.grasp)
         self._motions.grip(plan.grasp.opening)
         self._motions.home()
         if not self._book.rests(target, self._rig.config.cycle.attempts, self._outcomes.concluded):

@@ -32,6 +32,7 @@ class Motions:
         view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
         last: When the last motion ended, s of the cell's clock.
         positions: ndarray of shape (J,): where the joints stood then, rad.
+        blocked: The jaws came down on something when they last went for a part.
         retreat: The way out of the bin over which the last part was let go, not yet carried out; or None.
         stranded: The arm stands where it was stopped on its way down, over the table.
 
@@ -47,6 +48,7 @@ class Motions:
         self._placed_height = 0.0
         self.last = 0.0
         self.positions: NDArray[np.float64] = np.array(rig.arm.description.ready)
+        self.blocked = False
         self.retreat: Trajectory | None = None
         self.stranded = False
         self._watch: Callable[[], AbstractContextManager[None]] = nullcontext
@@ -120,6 +122,7 @@ class Motions:
         """
         arrival = self._go_down(plan.approach, plan.grasp.opening)
         refusal = proof.obstruction(arrival, plan.approach)
+        self.blocked = refusal is not None
         if refusal is None:
             report = self.grip(proof.closing_target(plan.grasp, self._rig.arm.description.gripper))
             target = plan.target

@@ -15,6 +15,7 @@ from controller.domain import (
     Bin,
     CellCalibration,
     Frame,
+    Grasp,
     GripReport,
     LocatedObject,
     MoveReport,
@@ -201,8 +202,9 @@ class AirPlanner(Planner):
         view: Array | None = None,
         climb: float = 0.0,
         corners: bool = False,
+        avoid: Sequence[Grasp] = (),
     ) -> PickPlan:
         """As `Planner.plan_pick`, above the parts."""
         return self._above.plan_pick(
-            target, others, bin, drop, start, view=view, climb=climb, corners=corners
+            target, others, bin, drop, start, view=view, climb=climb, corners=corners, avoid=avoid
         )

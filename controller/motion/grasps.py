@@ -47,6 +47,7 @@ _LINE_SHIFTS = (4.0, -4.0)
 _INSIDE_EDGE, _BEYOND_EDGE = 3.0, 1.5
 _FLUSH = math.radians(5.0)  # turned by less, a hexagon has sides before the jaws, not corners
 _SHIFT_QUALITY = 0.8
+_SAME_PLACE, _SAME_TURN = 3.0, math.radians(8.0)  # mm; grasps that differ by less meet the same
 _FLUSH_TURN = math.radians(20.0)  # turned by more, shifted jaws might not bring a part flush
 
 
@@ -230,7 +231,12 @@ def dense(outline: Array) -> Array:
 
 
 def ways_to_take(
-    part: LocatedObject, gripper: Gripper, blocked: Array, tangent: float | None, corners: bool = False
+    part: LocatedObject,
+    gripper: Gripper,
+    blocked: Array,
+    tangent: float | None,
+    corners: bool = False,
+    avoid: Sequence[Grasp] = (),
 ) -> list[Choice]:
     """Every free way to take a part of the best kind there is: on its flats, beside its middle, a little askew.
 
@@ -240,6 +246,7 @@ def ways_to_take(
         blocked: ndarray of shape (N, 2): points of `obstacles`, mm.
         tangent: The only closing direction of an arm without wrist roll, rad about z of `table`; None with one.
         corners: See `fixed_side`.
+        avoid: Grasps not to be repeated while anything lies near.
 
     Raises:
         NoClearGrasp: There is none; the message says why on the flats.
@@ -257,11 +264,28 @@ def ways_to_take(
     for kind in (offers, shifted_sides(offers, part, across), last):
         try:
             if kind:
-                return choose(part, kind, gripper, blocked)
+                return _others_than(avoid, choose(part, kind, gripper, blocked))
         except NoClearGrasp as error:
             failure = failure or error
     assert failure is not None
     raise failure
+
+
+def _others_than(avoid: Sequence[Grasp], choices: Sequence[Choice]) -> list[Choice]:
+    """The choices but those that are to be avoided, unless nothing lies near them any more.
+
+    Raises:
+        NoClearGrasp: There is no other.
+    """
+    left = [c for c in choices if c.grasp.clearance >= ENOUGH_CLEARANCE or not any(_same(c.grasp, a) for a in avoid)]
+    if not left:
+        raise NoClearGrasp("something lies where the jaws would have room", "move the parts apart")
+    return left
+
+
+def _same(a: Grasp, b: Grasp) -> bool:
+    turn = abs(angle_difference(a.direction, b.direction, math.pi))
+    return math.dist(a.center, b.center) < _SAME_PLACE and turn < _SAME_TURN
 
 
 def grasp_height(part: LocatedObject, gripper: Gripper) -> float:

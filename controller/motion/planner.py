@@ -106,6 +106,7 @@ class Planner:
         view: Array | None = None,
         climb: float = 0.0,
         corners: bool = False,
+        avoid: Sequence[Grasp] = (),
     ) -> PickPlan:
         """Everything that moves for one part, approved as a whole.
 
@@ -120,6 +121,8 @@ class Planner:
                 sooner than in the ready pose, and as near to the next part.
             climb: mm that the way begins straight up, because the arm stands deep in a bin.
             corners: Whether a part may be held by two corners, which may slip: for when nothing else can be taken.
+            avoid: Grasps at which the jaws came down on something: not to be repeated while anything lies near, which
+                may reach further than was seen.
 
         Raises:
             NoClearGrasp: The jaws have no room, or the part does not suit them.
@@ -129,7 +132,7 @@ class Planner:
         q0 = self._moves.start(start)
         gripper = self.arm.gripper
         near = grasps.obstacles(others, self.bins, target.center, grasps.reach_about(target, gripper))
-        choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center), corners)
+        choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center), corners, avoid)
         failure: PlanError | None = None
         for choice in choices:
             try:

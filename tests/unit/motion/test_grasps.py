@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller.domain import Shape
 from controller.errors import NoClearGrasp
+from controller.geometry import angle_difference
 from controller.motion import grasps
 from tests.unit.motion.scene import PARTS, RX150, at, bins, jaw_sweeps, part, polygon_gap, scatter
 
@@ -104,6 +105,21 @@ def test_no_jaw_comes_down_within_the_outline_of_a_large_neighbour() -> None:
     blocked = grasps.obstacles([neighbour], (), thing.center, 200.0)
     with pytest.raises(NoClearGrasp, match="no room"):
         grasps.ways_to_take(thing, RX150.gripper, blocked, None)
+
+
+def test_where_the_jaws_came_down_on_something_they_do_so_once() -> None:
+    """What is not seen whole reaches further than it looks; once nothing lies near, the best grasp is it again."""
+    thing = part(Shape.SQUARE, 36.0, (0.0, 0.0))
+    beside = [part(Shape.SQUARE, 36.0, place) for place in ((54.0, 0.0), (0.0, 54.0))]
+    near = grasps.obstacles(beside, (), thing.center, 100.0)
+    met = [choice.grasp for choice in grasps.ways_to_take(thing, RX150.gripper, near, None)]
+    assert all(grasp.clearance < grasps.ENOUGH_CLEARANCE for grasp in met)
+    for choice in grasps.ways_to_take(thing, RX150.gripper, near, None, avoid=met):
+        turns = [abs(angle_difference(choice.grasp.direction, grasp.direction, math.pi)) for grasp in met]
+        apart = [math.dist(choice.grasp.center, grasp.center) for grasp in met]
+        assert all(turn > 0.1 or gap > 3.0 for turn, gap in zip(turns, apart, strict=True))
+    free = grasps.ways_to_take(thing, RX150.gripper, NOTHING, None, avoid=met)
+    assert free[0].grasp.direction == pytest.approx(met[0].direction)
 
 
 def test_the_jaws_stay_over_the_table_and_around_the_part() -> None:
