@@ -22,7 +22,7 @@ from controller.cycle.sentry import Sentry
 from controller.cycle.stock import Stock
 from controller.cycle.targets import Target, TargetBook
 from controller.cycle.view import MARGIN_MM
-from controller.domain import Frame, PickPlan, Result
+from controller.domain import Frame, PickPlan, Result, Shape
 from controller.errors import CameraError, Intruder, LedgerError, PartHeld
 from controller.vision.detect import Detected
 
@@ -141,7 +141,12 @@ class Handlers:
         look = Look(self._frame, self._detected.detections, tuple(named), found.refused)
         for observer in self._rig.observers:
             observer.looked(look)
-        in_the_way = (*found.in_the_way, *self._memory.look((*things, *found.in_the_way), self._frame))
+        pieces = (*(thing for thing in things if thing.shape is Shape.OTHER), *found.in_the_way)
+        in_the_way = (
+            *found.in_the_way,
+            *self._memory.look((*things, *found.in_the_way), self._frame),
+            *self.looker.under_the_arm(self._frame, pieces),
+        )
         self._chooser.offer(named, in_the_way, self._motions.positions, self._outcomes.concluded)
         self.left = len(named) + len(found.refused)
         self._motions.planner = self._concerns.review(named, self._stock).filled(self._stock.piles())

@@ -6,7 +6,7 @@ look. What the picture shows can have changed since by other hands only, and for
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from controller.cycle.doubt import lies_on_its_side, toppled
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
 from controller.cycle.source import still_shows
-from controller.cycle.view import Backdrop, region_mask
+from controller.cycle.view import Backdrop, reaching_under, region_mask
 from controller.domain import Array, Detection, Frame, LocatedObject
 from controller.errors import CameraError
 from controller.localization.locate import Located, locate
@@ -127,6 +127,11 @@ class Looker:
         things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
         narrowest = config.vision.narrowest_mm
         return found, [toppled(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
+
+    def under_the_arm(self, frame: Frame, things: Sequence[LocatedObject]) -> tuple[LocatedObject, ...]:
+        """What of some things of no known shape may lie under the arm as it stood in a frame; see `reaching_under`."""
+        hidden = self._rig.planner.hidden(self._pose_at(frame.captured_at))
+        return reaching_under(things, hidden, self._rig.arm.description.gripper.opening[1])
 
     def check(self, frame: Frame) -> None:
         """Look for nothing but what should not be there.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
-from controller.domain import Array, Bin, CellCalibration
+from controller.domain import Array, Bin, CellCalibration, LocatedObject
 from controller.geometry import invert, transform
 from controller.motion.gate import BIN_ASTRAY, WALL
 
@@ -16,6 +19,8 @@ MARGIN_MM = 40.0
 
 _REACH_MM = 80.0
 """Parts on the border of the work area, their shadows and the jaws above them change the picture this far outside."""
+_BORDERS_MM = 25.0
+"""What ends this near to what the arm hides may go on under it: a marker plate on the hand hides as much more."""
 _STEP_PX = 8
 """What hides the table is found this coarsely; margins are wider."""
 _WALL_MM = 15.0
@@ -89,6 +94,27 @@ class Backdrop:
         hidden[self._open] = covered.any(axis=1)
         coarse = np.where(hidden, 255, 0).astype(np.uint8).reshape(self._shape)
         return np.asarray(cv2.resize(coarse, self._size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def reaching_under(things: Sequence[LocatedObject], arm: Array, widest: float) -> tuple[LocatedObject, ...]:
+    """Those that border on what the arm hides, as far as they may reach on under it.
+
+    Args:
+        things: What is seen of them is no known shape.
+        arm: See `Backdrop.mask`.
+        widest: Long side of a part at most, mm.
+    """
+    found = []
+    for thing in things:
+        gaps = np.linalg.norm(thing.footprint[:, None] - arm[:, :2], axis=2) - arm[:, 2]
+        disc = arm[gaps.min(axis=0).argmin()]
+        if gaps.min() > _BORDERS_MM:
+            continue
+        ahead = disc[:2] - thing.center
+        by = max(widest - thing.size[1], 0.0) / max(float(np.hypot(*ahead)), 1e-6) * ahead
+        swept = cv2.convexHull(np.vstack([thing.footprint, thing.footprint + by]).astype(np.float32))[:, 0]
+        found.append(replace(thing, footprint=swept.astype(np.float64)))
+    return tuple(found)
 
 
 def _silhouette(bin_: Bin, eye: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import cv2
@@ -12,12 +13,13 @@ from controller.backends import nominal_camera
 from controller.config.arm import load_arm
 from controller.config.cell import load_cell
 from controller.config.files import shipped
-from controller.cycle.view import Backdrop
-from controller.domain import Array, CellCalibration, Frame
+from controller.cycle.view import Backdrop, reaching_under
+from controller.domain import Array, CellCalibration, Frame, Shape
 from controller.motion.kinematics import inverse
 from controller.motion.planner import Planner
 from controller.vision.detect import detect
 from controller.vision.recipe import load_recipe
+from tests.unit.cycle.bench import part
 
 SIZE = (1280, 720)
 CONFIG = load_cell(shipped("sim.toml"))
@@ -73,3 +75,18 @@ def test_nothing_is_found_where_something_known_hides_the_table_nor_what_is_cut_
     assert {round(item.center_px[0]) for item in detect(frame, recipe).detections} == {120, 320, 520}
     assert [round(item.center_px[0]) for item in seen] == [320]
     assert detect(frame, recipe, hidden=np.full((480, 640), 255, np.uint8)).detections == ()
+
+
+def test_a_piece_that_ends_at_the_arm_reaches_on_under_it() -> None:
+    """Half of a disc of 50 mm is seen, the rest lies under the hand of the arm in its ready pose."""
+    hidden = PLANNER.hidden(np.array(ARM.ready))
+    rim = float((hidden[:, 0] + hidden[:, 2]).max())
+    angles = np.linspace(-math.pi / 2.0, math.pi / 2.0, 25)
+    half = np.column_stack([rim + 10.0 + 25.0 * np.cos(angles), 25.0 * np.sin(angles)])
+    piece = dataclasses.replace(part(rim + 20.0, 0.0, Shape.OTHER), footprint=half, size=(50.0, 25.0))
+    apart = dataclasses.replace(piece, center=(rim + 120.0, 0.0), footprint=half + (100.0, 0.0))
+    (found,) = reaching_under((piece, apart), hidden, 74.0)
+    outline = found.footprint.astype(np.float32)
+    rest = np.column_stack([rim + 10.0 - 24.0 * np.cos(angles), 24.0 * np.sin(angles)])
+    assert all(cv2.pointPolygonTest(outline, (float(x), float(y)), False) > 0 for x, y in rest)
+    assert not reaching_under((piece,), PLANNER.hidden(np.array([2.5, *ARM.ready[1:]])), 74.0)
