@@ -346,7 +346,7 @@ def test_under_a_service_manager_a_missing_arm_is_an_alarm(
     missing = BusError("/dev/sorter-arm", "open", "lost", "there is no such port", "plug the adapter in")
     opened = DynamixelArm.open
 
-    def absent(arm: DynamixelArm) -> None:
+    def absent(arm: DynamixelArm, *, restart: bool = False) -> None:
         raise missing
 
     monkeypatch.setattr(DynamixelArm, "open", absent)
