@@ -132,6 +132,7 @@ def refine_on(
     *,
     restarts: int,
     enough: float,
+    hasty: bool,
 ) -> list[Refined]:
     """Outlines with hidden parts, moved on by what their strays ask for: the most visible of some restarts.
 
@@ -147,6 +148,7 @@ def refine_on(
         blur: See there.
         restarts: How many steps.
         enough: Share of an outline that is enough to be seen.
+        hasty: A step that shows no more of it at its first look is given up.
     """
     best = list(found)
     latest = dict(enumerate(found))
@@ -157,10 +159,13 @@ def refine_on(
             break
         own = [families[i] for i in rows]
         moved = _moved(own, list(latest.values()))
-        # A step that shows no more of it leads nowhere.
         known = [best[i].visible for i in rows]
-        results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur, known)
-        latest = {i: item for i, item in zip(rows, results, strict=True) if item is not None}
+        results = refine(image, noise, own, moved, maps, [index[i] for i in rows], blur, known if hasty else None)
+        # A step that shows no more of it leads nowhere.
+        latest = {
+            i: item for i, item in zip(rows, results, strict=True)
+            if item is not None and item.visible > best[i].visible
+        }  # fmt: skip
         best = [latest.get(i, item) for i, item in enumerate(best)]
     return best
 

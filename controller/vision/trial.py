@@ -76,7 +76,7 @@ def tried(
         start = [item for i in rows if (item := refined[i]) is not None]
         better = refine_on(
             image, noise, [families[i] for i in rows], start, maps, [index[i] for i in rows], blur,
-            restarts=restarts, enough=settings.visible,
+            restarts=restarts, enough=settings.visible, hasty=scene.sides,
         )
         for i, last in zip(rows, _judged(scene, again, better), strict=True):
             judged[i] = last
