@@ -21,6 +21,8 @@ from controller.vision.refine import Refined
 
 Floats = NDArray[np.float64]
 
+CLOSE = 0.35
+"""Badness up to which an outline fits so well that no other explanation is needed for what it leaves open."""
 _PALE = 1.5 / CHUNKS
 """Share of an outline that must be faint for it not to be seen completely: more than one chunk."""
 

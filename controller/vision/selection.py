@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controller.vision.chunks import chunk_middles
 from controller.vision.robust import median
-from controller.vision.scene import Judged, Scene, neighbours, outside, sampled, shared
+from controller.vision.scene import CLOSE, Judged, Scene, neighbours, outside, sampled, shared
 from controller.vision.shapes import CIRCLE
 from controller.vision.silhouette import reaches
 from controller.vision.small import SMALL, looks_more_like
@@ -60,8 +60,8 @@ def select(scene: Scene, judged: list[Judged]) -> list[Judged]:
         not any(_rival(scene, item, good[j]) for j in meet) for item, meet in zip(good, meets, strict=True)
     ]
     if scene.sides:
-        # A piece of a top face, cut off by a print, must not outrank the whole; what is half seen is none.
-        seen = [item.badness < 1.0 and item.refined.visible >= scene.settings.visible for item in good]
+        # A piece of a top face, cut off by a print, must not outrank the whole, if that is well seen and fits.
+        seen = [item.badness <= CLOSE and item.refined.visible >= scene.settings.visible for item in good]
         for i, item in enumerate(good):
             around = [j for j in meets[i] if seen[j] and item.area < _PIECE * good[j].area]
             stays[i] = stays[i] and not any(shared(item, good[j]) > 0.9 for j in around)

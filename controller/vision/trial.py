@@ -18,18 +18,18 @@ from controller.vision.profiles import CHUNKS
 from controller.vision.proposals import Boxes
 from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.robust import median
-from controller.vision.scene import Judged, Scene, all_sampled, boxes, whole
+from controller.vision.scene import CLOSE, Judged, Scene, all_sampled, boxes, whole
 from controller.vision.shapes import CIRCLE, area, vertices
 from controller.vision.silhouette import feet, to_feet
 
 Floats = NDArray[np.float64]
 
 _RING = vertices(CIRCLE, np.array([0.0, 0.0, 1.0]))
-HALF_SEEN = 0.5
-"""Share of a silhouette that its top face's shape explains at least: half its sides may lean into view."""
-_CLOSE, _CLEAR = 0.35, 4.0
-"""Of an outline whose side faces hide some of it, the rest is enough if its misfit is no more than that share of what
-is allowed and its contrast so many times the smallest: the arm's shadow has less."""
+HALF_SEEN = 0.45
+"""Share of a silhouette that its top face's shape explains at least: half its sides may lean into view, and where those
+begin the two are hardly apart."""
+_CLEAR = 4.0
+"""How many times the smallest contrast an outline has of which side faces hide some: the arm's shadow has less."""
 _RESTARTS = 3
 """How often an outline with hidden parts may move on."""
 _ALIKE = 0.5, 1.6
@@ -119,7 +119,7 @@ def _judged(
     for (i, h, r, seen, covered, outline), rim, box, slack in told:
         allowed = settings.misfit_px + settings.misfit_share * math.sqrt(covered) + slack
         badness = r.misfit / allowed
-        clear = badness <= _CLOSE and r.levels >= _CLEAR * settings.minimum_contrast
+        clear = badness <= CLOSE and r.levels >= _CLEAR * settings.minimum_contrast
         if (seen if clear else r.visible) < settings.visible:
             badness = math.inf
         out[i] = Judged(h, r, badness, outline, rim, covered, box)
