@@ -29,6 +29,7 @@ class Concerns:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._known: frozenset[str] = frozenset()
+        self._full: frozenset[str] = frozenset()
 
     def __contains__(self, code: str) -> bool:
         return code in self._known
@@ -36,8 +37,13 @@ class Concerns:
     def review(self, seen: Sequence[LocatedObject], stock: Stock) -> Planner:
         """Warn of what is not in order after a look; the planner to go on with, a slow one while the supply is weak."""
         found = dict(self._rig.concerns())
-        if waiting := stock.waited_for(seen):
-            found["bin_full"] = "; ".join(f"{name} is full, {count} parts wait" for name, count in waiting.items())
+        waiting = stock.waited_for(seen)
+        if waiting:
+            found["bin_full"] = "; ".join(f"{name} is full, {_waits(count)}" for name, count in waiting.items())
+        if waiting.keys() - self._full:
+            # Another bin is full now: that is news.
+            self._known -= {"bin_full"}
+        self._full = frozenset(waiting)
         voltage, weak = self._rig.arm.state().voltage, "supply_low" in self._known
         if voltage is not None and voltage < (GOOD_SUPPLY if weak else LOW_SUPPLY):
             found["supply_low"] = f"{voltage:.1f} V at the servos"
@@ -55,3 +61,7 @@ class Concerns:
             for observer in self._rig.observers:
                 observer.eased(code, now)
         self._known = frozenset(found)
+
+
+def _waits(count: int) -> str:
+    return "1 part waits" if count == 1 else f"{count} parts wait"

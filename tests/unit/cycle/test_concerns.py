@@ -13,7 +13,7 @@ from controller.config.cell import load_cell
 from controller.config.files import shipped
 from controller.cycle.concerns import SLOW
 from controller.cycle.view import region_mask, still_mask
-from controller.domain import CellCalibration, PickPlan, Result, Trajectory
+from controller.domain import CellCalibration, PickPlan, Result, Shape, Trajectory
 from tests.unit.cycle.bench import Bench, part
 
 SIZE = (1280, 720)
@@ -38,7 +38,21 @@ def test_a_full_bin_is_told_when_something_waits_for_it(monkeypatch: pytest.Monk
     bench.filled["squares"] = bench.config.bins[0].capacity - 1
     bench.run()
     assert bench.results == [Result.PLACED]
-    assert bench.warnings == ["bin_full: squares is full, 1 parts wait"]
+    assert bench.warnings == ["bin_full: squares is full, 1 part waits"]
+
+
+def test_every_bin_that_gets_full_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(
+        monkeypatch, *(part(20 * (i % 2), -120 + 40 * i, [Shape.SQUARE, Shape.CIRCLE][i % 2]) for i in range(6))
+    )
+    one = tuple(bin_.model_copy(update={"capacity": 1}) for bin_ in bench.config.bins)
+    bench.config = bench.config.model_copy(update={"bins": one})
+    bench.run()
+    assert len(bench.outcomes) == 2
+    first, both = bench.warnings
+    assert first.endswith("is full, 2 parts wait")
+    assert "squares is full, 2 parts wait" in both
+    assert "circles is full, 2 parts wait" in both
 
 
 def test_an_arm_with_a_weak_supply_moves_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
