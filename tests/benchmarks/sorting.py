@@ -30,7 +30,7 @@ from controller.cli.config import default_config
 from controller.cli.evaluate_sim import Job, sorted_tables
 from controller.config.cell import CellConfig, KindSection, RuleSection, load_cell
 from controller.config.files import shipped
-from controller.domain import Shape
+from controller.domain import Result, Shape
 from controller.insight.evaluation import bounds
 
 Colour = Literal["red", "orange", "yellow", "green", "blue", "purple"]
@@ -147,6 +147,8 @@ def run_tables(jobs: Sequence[Job], processes: int) -> Counter[str]:
         figures = record.get("figures", {})
         taken = sum(outcome["place"] == "away" for outcome in record.get("outcomes", ()))
         total[TAKEN] += taken
+        fallen = [outcome for outcome in record.get("outcomes", ()) if outcome["result"] == str(Result.DROPPED)]
+        total["dropped into their own bins"] += sum(outcome["place"] == outcome["bin"] for outcome in fallen)
         total.update({key: int(figures.get(key) or 0) for key in COUNTED})
         total["broken"] += "error" in record
         total["holds"] += len(record.get("holds", ()))
