@@ -35,6 +35,7 @@ class Whitened:
     Attributes:
         difference: ndarray of shape (H, W, 3), dtype float32: whitened difference from the table.
         strength: ndarray of shape (H, W), dtype float32: its length.
+        half: ndarray of shape (H // 2, W // 2, 3), dtype float32: it at half the size.
         whitener: ndarray of shape (3, 3): maps a difference in BGR levels to whitened units.
         table_colour: ndarray of shape (3,): the table's mean colour, BGR levels.
         fine: ndarray of shape (3, 3): maps a whitened difference to units of the table's variation from pixel to pixel.
@@ -44,6 +45,7 @@ class Whitened:
 
     difference: Floats32
     strength: Floats32
+    half: Floats32
     whitener: Floats
     table_colour: Floats
     fine: Floats
@@ -55,7 +57,8 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     Args:
         image: ndarray of shape (H, W, 3), dtype float32, smoothed.
         empty: The same view of the empty table, same shape; None to estimate the table from the frame.
-        box: Rows and columns outside of which the difference is left 0; the table is estimated from all of the frame.
+        box: Rows and columns, from even ones on, outside of which the difference is left 0; the table is estimated from
+            all of the frame.
     """
     height, width = image.shape[:2]
     step = max(1, int(np.sqrt(height * width / _SAMPLES)))
@@ -65,13 +68,13 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     coefficients, rest, weight = _robust_surface(samples, _sampled_terms(height, width, step))
     covariance = _robust_covariance(rest, weight) + _LEAST
     whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-    difference, strength = _differences(reference, coefficients, whitener, box)
+    difference, strength, half = _differences(reference, coefficients, whitener, box)
     colours = samples if empty is None else _columns(image[grid, grid])
     colour = colours @ (weight + np.float32(1e-6)) / (weight.sum() + 1e-6 * len(weight))
     beside = np.minimum(np.arange(step // 2, width, step) + 1, width - 1)
     steps = samples - _columns(reference[grid, beside])
     fine = np.linalg.inv(np.linalg.cholesky(_robust_covariance(steps, weight) + _LEAST))
-    return Whitened(difference, strength, whitener, colour.astype(np.float64), fine @ np.linalg.inv(whitener))
+    return Whitened(difference, strength, half, whitener, colour.astype(np.float64), fine @ np.linalg.inv(whitener))
 
 
 _POWERS = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]
@@ -164,14 +167,15 @@ def _shortest(values: Floats32) -> tuple[Floats32, Floats32]:
 
 def _differences(
     reference: Floats32, coefficients: Floats, whitener: Floats, box: Box | None
-) -> tuple[Floats32, Floats32]:
-    """Whitened differences (H, W, 3) of a picture from a polynomial (10, 3), and their lengths (H, W).
+) -> tuple[Floats32, Floats32, Floats32]:
+    """Whitened differences (H, W, 3) of a picture from a polynomial (10, 3), their lengths (H, W), and half their size.
 
-    Outside of the box both are 0.
+    Outside of the box all are 0.
     """
     height, width = reference.shape[:2]
     make = np.empty if box is None else np.zeros
     difference, strength = make(reference.shape, np.float32), make((height, width), np.float32)
+    half = make((height // 2, width // 2, 3), np.float32)
     rows, columns = box or (slice(0, height), slice(0, width))
     first, last, _ = rows.indices(height)
     matrix = whitener.astype(np.float32)
@@ -181,7 +185,8 @@ def _differences(
         terms[j, i] = values
     own = _powers(width)[columns]
     across, down = (own @ terms).reshape(_ORDERS, -1), _powers(height)
-    step = max(1, _STRIP // len(own))
+    left, wide = columns.indices(width)[0] // 2, len(own) // 2
+    step = 2 * max(1, _STRIP // (2 * len(own)))
     for top in range(first, last, step):
         strip = slice(top, min(top + step, last)), columns
         work = np.asarray((down[strip[0]] @ across).reshape(-1, len(own), 3), np.float32)
@@ -190,7 +195,11 @@ def _differences(
         cv2.multiply(part, part, dst=work)
         length = cv2.transform(work, _ONES, dst=strength[strip])
         cv2.sqrt(length, dst=length)
-    return difference, strength
+        high = len(work) // 2
+        if min(high, wide) > 0:
+            into = half[top // 2 : top // 2 + high, left : left + wide]
+            cv2.resize(part[: 2 * high, : 2 * wide], (wide, high), dst=into, interpolation=cv2.INTER_LINEAR)
+    return difference, strength, half
 
 
 def _robust_covariance(rest: Floats32, weight: Floats32) -> Floats:

@@ -134,12 +134,16 @@ def _small(image: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
 
 
 def _box(mask: NDArray[np.uint8]) -> Box | None:
-    """Rows and columns of the mask, with a margin for what only has its middle in it; None when all of it is 0."""
+    """Rows and columns of the mask, from even ones on, with a margin for what only has its middle in it.
+
+    None when all of the mask is 0.
+    """
     x, y, w, h = cv2.boundingRect(mask)
     if w == 0:
         return None
     margin = max(mask.shape) // 8
-    return slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin)
+    top, left = max(y - margin, 0) // 2 * 2, max(x - margin, 0) // 2 * 2
+    return slice(top, y + h + margin), slice(left, x + w + margin)
 
 
 def _whole(regions: list[Region], visible: NDArray[np.uint8]) -> list[Region]:

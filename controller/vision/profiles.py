@@ -72,21 +72,20 @@ def sample(
     last = np.cumsum(lines)
     first = last - lines
     chunk = np.repeat(np.arange(len(lines)), lines)
-    step = along / lines[:, None]
     # The place of each line, and of each sample on it, is rounded to the grid by itself: so is their sum.
-    base = (begin - (first - 0.5)[:, None] * step)[chunk] + np.arange(len(chunk))[:, None] * step[chunk]
-    base = np.rint(base * _GRID) * (1.0 / _GRID)
+    ends_, step = begin.T * _GRID, along.T * (_GRID / lines)
+    number = np.arange(len(chunk)) - first[chunk] + 0.5
+    base = (np.rint(step.take(chunk, axis=1) * number + ends_.take(chunk, axis=1)) * (1.0 / _GRID)).astype(np.float32)
     normal = normals.reshape(-1, 2)
     wide = np.repeat(reach, chunks)[:, None] * np.linspace(-_GRID, _GRID, columns)
     apart = np.rint(normal.T[..., None] * wide) * (1.0 / _GRID)
-    near = apart.astype(np.float32)
-    places = near.take(chunk, axis=1)
-    places += base.T.astype(np.float32)[..., None]
+    places = apart.astype(np.float32).take(chunk, axis=1)
+    places += base[..., None]
     raw = bilinear(image, places[0], places[1]).reshape(len(chunk), -1)
     scale = 1.0 / lines[:, None]
     values = _sums(raw, first, lines)
     values *= scale.astype(np.float32)
-    middle = np.add.reduceat(base, first, axis=0) * scale
+    middle = (np.add.reduceat(base, first, axis=1, dtype=np.float64) * scale[:, 0]).T
     x, y = middle[:, :1] + apart[0], middle[:, 1:] + apart[1]
     height, width = image.shape[:2]
     inside = (x >= 0.5) & (x <= width - 1.5) & (y >= 0.5) & (y <= height - 1.5)

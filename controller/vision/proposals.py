@@ -108,7 +108,10 @@ def propose(
         def beyond(boxes: Boxes) -> NDArray[np.bool_]:
             return unknown(boxes + corner)
 
-        part = replace(white, difference=white.difference[box])
+        high, wide = (length // 2 for length in strength[box].shape)
+        top, left = box[0].start // 2, box[1].start // 2
+        half = white.half[top : top + high, left : left + wide]
+        part = replace(white, difference=white.difference[box], half=half)
         regions = propose(
             part, strength[box], standing(strength[box], level), level, smallest, beyond,
             visible=None if visible is None else visible[box],
@@ -143,11 +146,9 @@ def _where(visible: Mask, image: Floats32) -> Floats32:
 
 def _faint_edges(white: Whitened, smallest: float, unknown: Unknown, visible: Mask | None) -> list[Region]:
     """Hulls of connected faint edges, at half the size and in fine units, in which there is less noise."""
-    size = white.difference.shape[1] // 2, white.difference.shape[0] // 2
-    half = cv2.resize(white.difference, size, interpolation=cv2.INTER_LINEAR)
-    edges = edge_energy(np.asarray(cv2.transform(half, white.fine.astype(np.float32)), np.float32))
+    edges = edge_energy(np.asarray(cv2.transform(white.half, white.fine.astype(np.float32)), np.float32))
     if visible is not None:
-        visible = np.asarray(cv2.resize(visible, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+        visible = np.asarray(cv2.resize(visible, edges.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
     mask = above(edges, _FAINT_EDGE * _typical(edges, visible))
     if visible is not None:
         mask &= visible

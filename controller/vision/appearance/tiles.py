@@ -36,8 +36,8 @@ _RIM = 0.07
 """How far inside the outline the material is looked at, share of the short side: beyond blur and side faces' edge."""
 _LEAST_RIM = 1.5
 """px of the frame: the blur of a sharp lens."""
-_MOST_RIM = 4
-"""px of a tile."""
+_THINNEST_RIM, _MOST_RIM = 2, 4
+"""px of a tile: bringing a part to it blurs its edge over one and a half."""
 _FEW = 12
 """Fewer pixels say nothing of a surface."""
 _NARROWEST = 3.0
@@ -94,7 +94,7 @@ def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
     planes = np.array(cv2.split(shown.reshape(-1, SIDE, 3)), np.uint8).reshape(3, -1, SIDE, SIDE)
     table = surroundings(image, chosen, rings)
     solid = form[:, _CORE, _CORE] > 127
-    material = _eroded(solid.view(np.uint8), np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))
+    material = _eroded(solid.view(np.uint8), np.clip(np.rint(rims).astype(int), _THINNEST_RIM, _MOST_RIM))
     few = counts(material) < _FEW
     material[few] = solid[few]
     hole = holes(planes, material, table, ["hole" in item.flags for item in chosen])
