@@ -26,7 +26,7 @@ from controller.vision.trial import tried
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-_POINTS = 64
+_POINTS = 48
 """Points of an outline."""
 _SAMPLES = 16
 """Places looked at across the outline at each of them."""
