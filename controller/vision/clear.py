@@ -70,7 +70,8 @@ def clear_objects(scene: Scene, strength: Floats32, standing: Standing, smallest
     regions = [region for region, yes in zip(regions, use, strict=True) if yes]
     points, found = points[use], found[use]
     centers = points.mean(axis=1)
-    reach = np.hypot(*np.moveaxis(points - centers[:, None], 2, 0)).max(axis=1, initial=0.0)
+    shifted = points - centers[:, None]
+    reach = np.hypot(shifted[..., 0], shifted[..., 1]).max(axis=1, initial=0.0)
     maps = local_maps(centers, (reach + 6.0 * scene.factor) * 1.3, scene.plane)
     scene = scene.with_regions(regions, maps)
     if not regions:

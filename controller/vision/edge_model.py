@@ -114,7 +114,8 @@ def look(
         offset = profiles.offset * rate.astype(np.float32)[..., None]
     low, high = clear_of_corners(batch, middle, outwards, normals_, reach_)
     free = profiles.inside & (profiles.offset > low[..., None]) & (profiles.offset < high[..., None])
-    chord = np.hypot(*np.moveaxis(ends - starts, 2, 0))
+    along = ends - starts
+    chord = np.hypot(along[..., 0], along[..., 1])
     spacing = 2.0 * reach / (columns - 1)
     # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
     lines = np.minimum(np.maximum(chord, 0.25), profiles.pixels) * np.minimum(spacing, 1.0)[:, None]

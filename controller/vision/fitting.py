@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from controller.vision.padded import KINDS, OWN, PARAMETERS, POLYGONS, ROUND, Rows, areas
 from controller.vision.rays import DIRECTIONS, RAYS
-from controller.vision.robust import median
+from controller.vision.robust import median, tukey
 from controller.vision.shapes import TRIANGLE, Family
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,6 @@ _FOLLOWS: Floats32 = np.array(
 )  # fmt: skip
 _SIXTH = np.exp(6j * np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0]))
 _RIDGE = 1e-5 * np.eye(PARAMETERS)
-_NONE = np.empty(0, np.float32)
 _ROUGH, _FINE, _AT_ONCE = (0, 1, 2), (3, 4, 5), (1, 4)
 """Numbers of the Gauss-Newton steps after which the families that do not suit a region are plain, of those that bring
 the others to the end, and of those that are enough among edges of one outline."""
@@ -82,7 +81,7 @@ class Edges:
     points: Floats32
     weight: Floats32
 
-    def some(self, rows: Rows) -> Edges:
+    def some(self, rows: Rows | slice) -> Edges:
         """The edges of some regions, or of some again and again."""
         return Edges(self.points[rows], self.weight[rows])
 
@@ -93,7 +92,7 @@ class Edges:
         return Edges(points.reshape(count, 3, -1), self.weight[:, ::2])
 
 
-Model = Callable[[Rows, Floats, Edges, bool], tuple[Floats32, Floats32, Floats32]]
+Model = Callable[[Rows, Floats, Edges, Floats32 | None], tuple[Floats32, Floats32]]
 
 
 def edges_of(places: Floats, weight: Floats) -> Edges:
@@ -224,37 +223,39 @@ def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int])
     """
     q = q.copy()
     models = _models(kind, edges)
+    count, rays, _ = edges.weight.shape
+    distance, strength = np.empty((count, rays), np.float32), np.empty((count, rays), np.float32)
+    jacobian = np.empty((count, PARAMETERS, rays), np.float32)
     size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     limit = np.full(q.shape, 0.3)
     limit[:, :5] *= size[:, None]
     scale = np.maximum(0.5 * factor, 0.008 * size)
     for step in steps:
         width = 3.0 * np.maximum(scale, 0.2 * size * 0.5**step)
-        change = np.empty_like(q)
         for rows, model, near in models:
-            distance, strength, jacobian = model(kind[rows], q[rows], near, True)
-            ratio = np.minimum(np.abs(distance) / width[rows, None].astype(np.float32), 1.0)
-            w = strength * (1.0 - ratio * ratio) ** 2
-            weighted = (jacobian * w[..., None]).transpose(0, 2, 1)
-            normal = (weighted @ jacobian).astype(np.float64)
-            normal += _RIDGE * (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-4)
-            change[rows] = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
+            distance[rows], strength[rows] = model(kind[rows], q[rows], near, jacobian[rows])
+        weighted = jacobian * (strength * tukey(np.abs(distance) / width[:, None].astype(np.float32)))[:, None]
+        normal = (weighted @ jacobian.transpose(0, 2, 1)).astype(np.float64)
+        normal += _RIDGE * (np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-4)
+        change = np.linalg.solve(normal, weighted @ distance[..., None])[..., 0]
         q -= np.minimum(np.maximum(change, -limit), limit)
         used = q[:, 2:5] != 0.0
         q[:, 2:5] = np.where(used, np.maximum(q[:, 2:5], 0.1 * size[:, None]), 0.0)
     return q
 
 
-def _models(kind: Rows, edges: Edges) -> list[tuple[Rows, Model, Edges]]:
-    """Which rows are to be measured in which way, and the edges around them."""
-    both = (np.flatnonzero(kind < ROUND), _polygons), (np.flatnonzero(kind == ROUND), _circles)
-    return [(rows, model, edges.some(rows)) for rows, model in both if len(rows)]
+def _models(kind: Rows, edges: Edges) -> list[tuple[slice, Model, Edges]]:
+    """Which rows of kinds in rising order are to be measured in which way, and the edges around them."""
+    first = int(np.searchsorted(kind, ROUND))
+    both = (slice(0, first), _polygons), (slice(first, len(kind)), _circles)
+    return [(rows, model, edges.some(rows)) for rows, model in both if rows.stop > rows.start]
 
 
-def _polygons(
-    kind: Rows, q: Floats, edges: Edges, slopes: bool
-) -> tuple[Floats32, Floats32, Floats32]:
-    """Distance (R, M) of each ray's nearest edge from polygons, its strength (R, M), derivatives (R, M, 8) if asked."""
+def _polygons(kind: Rows, q: Floats, edges: Edges, jacobian: Floats32 | None) -> tuple[Floats32, Floats32]:
+    """Distance (R, M) of each ray's nearest edge from polygons, and its strength (R, M).
+
+    The distances' derivatives (R, 8, M) are written into `jacobian` if there is one.
+    """
     where = np.arange(len(q))[:, None]
     turn = q[where, _TURN_OF[kind]] + _NORMALS[kind]
     reach = q[where, _SIZE_OF[kind]]
@@ -263,36 +264,35 @@ def _polygons(
     lines[..., 2] = -(reach + lines[..., 0] * q[:, :1] + lines[..., 1] * q[:, 1:2])
     apart = lines @ edges.points
     distance, strength, chosen = _nearest(apart.max(axis=1), edges)
-    if not slopes:
-        return distance, strength, _NONE
+    if jacobian is None:
+        return distance, strength
     own = apart if chosen is None else np.take_along_axis(apart, chosen[:, None], axis=2)
     side = own.argmax(axis=1)
-    normal = lines[where, side, :2]
+    across, down = lines[where, side, 0], lines[where, side, 1]
     points = edges.points if chosen is None else np.take_along_axis(edges.points, chosen[:, None], axis=2)
-    jacobian = np.empty((*side.shape, PARAMETERS), np.float32)
-    jacobian[..., :2] = normal * _MOVES[kind, None, None]
-    jacobian[..., 2:] = _FOLLOWS[kind[:, None], side]
+    moves = _MOVES[kind, None]
+    jacobian[:, 0], jacobian[:, 1] = across * moves, down * moves
+    jacobian[:, 2:] = _FOLLOWS[kind[:, None], side].transpose(0, 2, 1)
     middle = q[:, :2].astype(np.float32)
-    turning = (points[:, 1] - middle[:, 1:]) * normal[..., 0] - (points[:, 0] - middle[:, :1]) * normal[..., 1]
-    jacobian[..., 5:] *= turning[..., None]
-    return distance, strength, jacobian
+    turning = (points[:, 1] - middle[:, 1:]) * across - (points[:, 0] - middle[:, :1]) * down
+    jacobian[:, 5:] *= turning[:, None]
+    return distance, strength
 
 
-def _circles(kind: Rows, q: Floats, edges: Edges, slopes: bool) -> tuple[Floats32, Floats32, Floats32]:
-    """Distance (R, M) of each ray's nearest edge from circles, its strength (R, M), derivatives (R, M, 8) if asked."""
+def _circles(kind: Rows, q: Floats, edges: Edges, jacobian: Floats32 | None) -> tuple[Floats32, Floats32]:
+    """The same for circles."""
     del kind
     shifted = edges.points[:, :2] - q[:, :2, None].astype(np.float32)
     far = np.sqrt(shifted[:, 0] ** 2 + shifted[:, 1] ** 2)
     distance, strength, chosen = _nearest(far - q[:, 2:3].astype(np.float32), edges)
-    if not slopes:
-        return distance, strength, _NONE
+    if jacobian is None:
+        return distance, strength
     if chosen is not None:
         shifted = np.take_along_axis(shifted, chosen[:, None], axis=2)
         far = np.take_along_axis(far, chosen, axis=1)
-    jacobian = np.zeros((*distance.shape, PARAMETERS), np.float32)
-    jacobian[..., :2] = (shifted / -np.maximum(far, 1e-6)[:, None]).transpose(0, 2, 1)
-    jacobian[..., 2] = -1.0
-    return distance, strength, jacobian
+    jacobian[:, :2] = shifted / -np.maximum(far, 1e-6)[:, None]
+    jacobian[:, 2], jacobian[:, 3:] = -1.0, 0.0
+    return distance, strength
 
 
 def _nearest(distance: Floats32, edges: Edges) -> tuple[Floats32, Floats32, Rows | None]:
@@ -314,7 +314,7 @@ def _quality(kind: Rows, q: Floats, edges: Edges, factor: int) -> tuple[Floats, 
     distance = np.empty(edges.weight.shape[:2], np.float32)
     strength = np.empty_like(distance)
     for rows, model, near in _models(kind, edges):
-        distance[rows], strength[rows], _ = model(kind[rows], q[rows], near, False)
+        distance[rows], strength[rows] = model(kind[rows], q[rows], near, None)
     size = np.sqrt(np.maximum(areas(kind, q), 1.0))
     tolerance = np.maximum(0.7 * factor, 0.02 * size)[:, None]
     off = np.abs(distance)
