@@ -19,7 +19,7 @@ from controller.domain import Array, Bin, Gripper, LocatedObject, Point
 from controller.errors import NoClearGrasp
 from controller.geometry import angle_difference
 from controller.motion import grasps, pushing
-from controller.motion.sliding import FRICTION, slide
+from controller.motion.sliding import slide
 
 GAP = 3.0  # mm between the box and the part where the jaws come down, beside the part's sigma
 TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the least that frees the target first
@@ -187,11 +187,17 @@ class _Scene:
             return
         center = np.array(moved.center)
         hull = pushing.coarse(pushing.hull_of(moved) - center)
-        starts, aheads = np.array([push.start for push in free]), np.array([push.ahead for push in free])
-        ways = np.array([push.way - push.travel for push in free])[:, None] + np.array(TRAVELS)
-        turns = np.array([self._turns(push, way) for push, way in zip(free, ways[:, -1], strict=True)])
-        poses = [slide(hull, self.gripper, starts - center, aheads, turns, ways, friction) for friction in FRICTION]
-        clear = np.logical_and.reduce([pushing.keeps_clear(hull, pose, blocked - center) for pose in poses])
+        aheads = np.array([push.ahead for push in free])
+        until = np.array([[push.way - push.travel] for push in free])
+        starts = np.array([push.start for push in free]) + until * aheads  # where they meet the part
+        turns = np.array([
+            self._turns(push.direction, first, first + TRAVELS[-1] * ahead)
+            for push, first, ahead in zip(free, starts, aheads, strict=True)
+        ])  # fmt: skip
+        poses = slide(hull, self.gripper, starts - center, aheads, turns, TRAVELS)
+        away = blocked - center
+        near = away[np.hypot(*away.T) < float(np.hypot(*hull.T).max()) + TRAVELS[-1] + pushing.BUMP][::2]
+        clear = np.logical_and.reduce([pushing.keeps_clear(hull, pose, near) for pose in poses])
         for row, push in enumerate(free):
             found = []
             for column, travel in enumerate(TRAVELS):
@@ -201,12 +207,12 @@ class _Scene:
                 found.append(push.going(travel, push.cost + travel, ends))
             yield found
 
-    def _turns(self, push: Push, way: float) -> tuple[float, float]:
-        """Closing directions at the start and the end of a push: without a wrist roll it turns with the waist."""
+    def _turns(self, direction: float, start: Array, end: Array) -> tuple[float, float]:
+        """Closing directions at two places of a push: without a wrist roll the gripper turns with the waist."""
         if self.tangent is None:
-            return push.direction, push.direction
-        end = np.array(push.start) + way * np.array(push.ahead)
-        return push.direction, push.direction + angle_difference(self.tangent(_point(end)), push.direction, math.pi)
+            return direction, direction
+        first = self.tangent(_point(start))
+        return first, first + angle_difference(self.tangent(_point(end)), first, math.pi)
 
     def _landings(self, moved: LocatedObject, blocked: Array) -> Iterable[Push]:
         """Pushes of one part for which the gripper has room to come down, and to go ahead as far as `travel` says.
