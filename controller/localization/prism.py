@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: Vertices of the polygon that stands for a circle; its circumradius is enlarged to keep the area.
 CIRCLE_VERTICES = 96
+
+
 @dataclass(frozen=True, slots=True)
 class Noise:
     """What is known about outlines and parts beforehand.

@@ -51,7 +51,6 @@ class Evidence:
         chord: ndarray of shape (K, CHUNKS): their lengths, px.
         lines: ndarray of shape (K, CHUNKS): pixels that each sample stands for.
         spacing: ndarray of shape (K,): of the samples, px.
-        inner: ndarray of shape (K, 3): colour inside, BGR levels.
     """
 
     value: Floats32
@@ -62,7 +61,6 @@ class Evidence:
     chord: Floats
     lines: Floats
     spacing: Floats
-    inner: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,21 +118,19 @@ def look(
     # One pixel's worth of noise for every px^2: samples nearer to each other than that share theirs.
     lines = np.minimum(np.maximum(chord, 0.25), profiles.pixels) * np.minimum(spacing, 1.0)[:, None]
     free_ = free.astype(np.float32)
-    value, inner = _contrasts(profiles, middle, free_, noise, size)
+    value = _contrasts(profiles, middle, free_, noise, size)
     weight = free_ * lines.astype(np.float32)[..., None]
-    return Evidence(value, free_, weight, offset, middle, chord, lines, spacing, inner)
+    return Evidence(value, free_, weight, offset, middle, chord, lines, spacing)
 
 
-def _contrasts(
-    profiles: Profiles, middle: Floats, free: Floats32, noise: Floats, size: Floats
-) -> tuple[Floats32, Floats]:
+def _contrasts(profiles: Profiles, middle: Floats, free: Floats32, noise: Floats, size: Floats) -> Floats32:
     """Profiles relative to the object's own colour, along each chunk's contrast, in units of the noise.
 
     The object's colour is a plane fitted to the inner third of all profiles; what lies outside may differ from
     chunk to chunk in any direction (table, shadow, side face, neighbour), so that each has its own projection.
 
     Returns:
-        value (K, CHUNKS, D), 0 inside and positive outside; inner colour (K, 3), levels.
+        ndarray of shape (K, CHUNKS, D), 0 inside and positive outside.
     """
     count, _, columns = profiles.values.shape[:3]
     third = columns // 3
@@ -144,8 +140,7 @@ def _contrasts(
     at = (middle / size[:, None, None]).astype(np.float32)
     plane = np.concatenate([np.ones((*at.shape[:2], 1), np.float32), at], axis=2)
     basis = np.repeat(plane, third, axis=1)
-    inner = median(inside, 1)
-    rest = inside - inner[:, None]
+    rest = inside - median(inside, 1)[:, None]
     face = np.zeros((count, 3, 3), np.float32)
     for _ in range(2):
         far = np.sqrt(np.vecdot(rest, rest))
@@ -160,7 +155,7 @@ def _contrasts(
     direction = outer @ np.linalg.inv(noise)
     length = np.sqrt(np.maximum(np.vecdot(outer, direction), 1e-12))
     toward = (direction / length[..., None]).astype(np.float32)
-    return np.asarray(np.vecdot(relative, toward[:, :, None]), np.float32), inner.astype(np.float64)
+    return np.asarray(np.vecdot(relative, toward[:, :, None]), np.float32)
 
 
 def fit(evidence: Evidence, batch: Batch, steps: int) -> State:

@@ -33,6 +33,18 @@ _PART = 0.6
 """Share of an outline that must be seen for its strays to tell where the rest may lie."""
 _LEAST = 0.5
 """Smallest distance, px, of a side from the centre."""
+_LOOSE = 1.0, 0.012
+"""An edge this far from an outline, px and share of its size, is still its own."""
+_BLANK, _BLANK_LEVELS = 5.0, 2.5
+"""A chunk whose edge is less high, in its own deviations or in gray levels, shows none."""
+_FOREIGN, _FOREIGN_NOISE = 0.4, 4.0
+"""Just inside an outline a colour may differ from the object's by this share of the edge, and so many deviations."""
+_PALE = 0.1
+"""A chunk of less than this share of the typical contrast is faint."""
+_AWAY = 2.0, 0.15
+"""An outline that has moved farther than this, px and share of its size, is another one, ..."""
+_GROWN = 0.6, 1.6
+"""... and so is one whose area has changed by other ratios than these."""
 _RIDGE = np.eye(PARAMETERS) * 1e-9
 _NEAR = 0.5
 """How far, px, an outline may move on the profiles of one look: they were taken along its sides and corners as they
@@ -55,7 +67,6 @@ class Refined:
         blank: ndarray of shape (CHUNKS,), dtype bool: where inside and outside look the same.
         faint: Share of the outline that is blank, or of far less contrast than the rest.
         strays: ndarray of shape (CHUNKS,): how far it strays there, px, outwards positive.
-        inside_colour: ndarray of shape (3,): mean colour just inside, BGR levels.
     """
 
     q: Floats
@@ -69,7 +80,6 @@ class Refined:
     blank: NDArray[np.bool_]
     faint: float
     strays: Floats
-    inside_colour: Floats
 
 
 def refine(
@@ -205,32 +215,31 @@ def _verdicts(batch: Batch, state: State, start: Floats, size: Floats, noise: Fl
     height = np.maximum(around, 1e-6).astype(np.float32)
     plain = ((state.unlit - evidence.value / height[..., None]) * evidence.free).sum(axis=2) * evidence.spacing[:, None]
     stray = np.where(np.abs(state.stray) < 0.5 * batch.blur[:, None], state.stray, plain)
-    loose = np.maximum(1.0, 0.012 * size)[:, None]
+    loose = np.maximum(_LOOSE[0], _LOOSE[1] * size)[:, None]
     level = math.sqrt(float(noise.trace()) / 3.0)
     energy = np.vecdot(evidence.weight * state.unlit, state.unlit)
-    blank = (around * np.sqrt(energy) < 5.0) | (around * level < 2.5)
+    blank = (around * np.sqrt(energy) < _BLANK) | (around * level < _BLANK_LEVELS)
     # Inside its rim an object has one colour; where it has not, the outline cuts across something.
     deep = evidence.free * (state.unlit < 0.05)
     count = np.maximum(deep.sum(axis=2), 1e-9)
     inside = np.abs(np.vecdot(deep, evidence.value) / count)
-    foreign = inside > 0.4 * np.abs(around) + 4.0 / np.sqrt(count * evidence.lines)
+    foreign = inside > _FOREIGN * np.abs(around) + _FOREIGN_NOISE / np.sqrt(count * evidence.lines)
     seen = ~blank & ~foreign & (np.abs(stray) < loose)
     contrast = median(around, 1)
-    faint = (blank | (around < 0.1 * contrast[:, None])).sum(axis=1) / CHUNKS
+    faint = (blank | (around < _PALE * contrast[:, None])).sum(axis=1) / CHUNKS
     squared = stray * stray
     misfit = np.sqrt(np.maximum(_trimmed(squared - error, seen & (information > 0.0)), 0.0))
     chi = _trimmed(squared * information, seen)
     moved = np.hypot(*(batch.q[:, :2] - start[:, :2]).T)
-    lost = ~np.isfinite(batch.q).all(axis=1) | (moved > 0.15 * size + 2.0)
+    lost = ~np.isfinite(batch.q).all(axis=1) | (moved > _AWAY[0] + _AWAY[1] * size)
     with np.errstate(invalid="ignore"):
         grown = areas(batch.kind, batch.q) / size**2
-        lost |= ~((grown > 0.6) & (grown < 1.6)) | (batch.geometry()[1] <= _LEAST).any(axis=1)
+        lost |= ~((grown > _GROWN[0]) & (grown < _GROWN[1])) | (batch.geometry()[1] <= _LEAST).any(axis=1)
     figures = np.stack([batch.blur, contrast, misfit, chi, seen.sum(axis=1) / CHUNKS, faint], axis=1).tolist()
     return [
         None if gone else Refined(
             q=batch.q[i, OWN[kind]], blur=own[0], contrast=own[1], levels=own[1] * level, misfit=own[2], chi=own[3],
             visible=own[4], faint=own[5], seen=seen[i], blank=blank[i], strays=stray[i],
-            inside_colour=evidence.inner[i],
         )
         for i, (kind, gone, own) in enumerate(zip(batch.kind.tolist(), lost.tolist(), figures, strict=True))
     ]  # fmt: skip

@@ -220,3 +220,21 @@ def test_derivatives_of_the_silhouette_agree_with_differences(shape: Shape) -> N
         difference = (model.corners(at + step)[0] - model.corners(at - step)[0]) / 2e-4
         # Central differences of a smooth function in double precision.
         assert np.allclose(difference, slopes[..., index], atol=1e-5)
+
+
+def test_parts_located_together_lie_where_each_lies_alone() -> None:
+    """One batch holds outlines of different lengths and shapes of different numbers of corners."""
+    calibration = cell(0.2, 1.0)
+    places = [(-120.0, -60.0), (-60.0, 40.0), (0.0, -50.0), (60.0, 60.0), (120.0, -20.0)]
+    seen = [
+        placed(shape, 24.0 + 4.0 * k, *places[k], 0.3 * k, 12.0 + 3.0 * k, calibration)
+        for k, shape in enumerate(SHAPES)
+    ]
+    stated = {id(item): 12.0 + 3.0 * k for k, item in enumerate(seen)}
+    together = locate(seen, calibration, lambda item: stated[id(item)]).objects
+    assert [thing.detection for thing in together] == seen
+    for thing in together:
+        (alone,) = locate([thing.detection], calibration, lambda item: stated[id(item)]).objects
+        # The same arithmetic in another order: rounding only.
+        assert math.dist(thing.center, alone.center) < 1e-6
+        assert thing.size == pytest.approx(alone.size, abs=1e-6)
