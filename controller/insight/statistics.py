@@ -75,7 +75,7 @@ class Statistics(Observer):
         self._truth = truth
         self._count: Counter[Result] = Counter()
         self._first_try = 0
-        self._fates: list[tuple[Result, int | None]] = []
+        self._fates: list[tuple[Result, int | None, str]] = []
         self.attempts = 0
         self.nudges = 0
         self._touches_before = self._touches_meant = 0
@@ -105,7 +105,8 @@ class Statistics(Observer):
         self._first_try += outcome.attempts == 1 and outcome.result in (Result.PLACED, Result.REJECTED)
         if self._truth is not None:
             seen = nearest(self._truth.at(outcome.target.detection.frame.captured_at), outcome.target)
-            self._fates.append((outcome.result, None if seen is None else seen.part_id))
+            bin_ = "" if outcome.plan is None else outcome.plan.bin.name
+            self._fates.append((outcome.result, None if seen is None else seen.part_id, bin_))
 
     def summary(self, left_seen: int, cycle_times: Sequence[float]) -> dict[str, Any]:
         """The counts of the contract of `controller run --json`; lengths mm, angles degrees, times s.
@@ -138,13 +139,22 @@ class Statistics(Observer):
         bins = {bin_.name for bin_ in self._config.bins}
         verdicts: Counter[str] = Counter()
         phantoms: Counter[Result] = Counter()
-        last = {part_id: number for number, (_, part_id) in enumerate(self._fates) if part_id is not None}
-        for number, (result, part_id) in enumerate(self._fates):
+        last = {part_id: number for number, (_, part_id, _) in enumerate(self._fates) if part_id is not None}
+        never_told = [part for part in final.values() if part.part_id not in last]
+        again = 0
+        for number, (result, part_id, bin_) in enumerate(self._fates):
             part = final[part_id] if part_id is not None else None
             if part_id is None or (result is not Result.PLACED and last[part_id] != number):
                 phantoms[result] += 1
             if result is not Result.PLACED:
                 continue
+            if part_id is not None and last[part_id] != number:
+                # It was worked on again later: another part lies there in its stead, exchanged unseen, or none.
+                part = next((other for other in never_told if other.place == bin_), None)
+                if part is None:
+                    again += 1
+                else:
+                    never_told.remove(part)
             if part is None or part.place not in bins:
                 verdicts["silent"] += 1
             elif part.place == right_bin(self._config, part):
@@ -158,7 +168,7 @@ class Statistics(Observer):
         true_counts = {
             key: figures[key] - phantoms[Result(key)] for key in ("rejected", "dropped", "indeterminate")
         }
-        accounted = figures["sorted"] + sum(true_counts.values())
+        accounted = figures["sorted"] - again + sum(true_counts.values())
         return {
             **true_counts,
             "phantoms": sum(phantoms.values()),
