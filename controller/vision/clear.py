@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.vision.contours import Standing
 from controller.vision.fitting import Hypothesis, edges_of, fit_at_once
 from controller.vision.local_map import local_maps
 from controller.vision.profiles import bilinear
-from controller.vision.proposals import Region, Standing
+from controller.vision.proposals import Region
 from controller.vision.robust import median
 from controller.vision.scene import Judged, Scene, whole
 from controller.vision.small import SMALL

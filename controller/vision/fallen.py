@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.vision.proposals import above
+from controller.vision.contours import above
 from controller.vision.robust import median
 from controller.vision.scene import Scene, outside
 from controller.vision.selection import shaded

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from controller.geometry import PlaneMap
 from controller.vision.background import Box, whiten
 from controller.vision.clear import clear_objects
+from controller.vision.contours import standing
 from controller.vision.fallen import soft_shades
 from controller.vision.leftover import leftovers
 from controller.vision.local_map import local_maps
 from controller.vision.noise import least_step, pixel_noise, without_spikes
-from controller.vision.proposals import Region, chroma, edge_energy, propose, standing
+from controller.vision.proposals import Region, chroma, edge_energy, propose
 from controller.vision.recipe import Precise
 from controller.vision.scene import Found, Judged, Scene
 from controller.vision.selection import shaded

@@ -73,9 +73,9 @@ def sample(
     first = last - lines
     chunk = np.repeat(np.arange(len(lines)), lines)
     # The place of each line, and of each sample on it, is rounded to the grid by itself: so is their sum.
-    ends_, step = begin.T * _GRID, along.T * (_GRID / lines)
+    origin, step = begin.T * _GRID, along.T * (_GRID / lines)
     number = np.arange(len(chunk)) - first[chunk] + 0.5
-    base = (np.rint(step.take(chunk, axis=1) * number + ends_.take(chunk, axis=1)) * (1.0 / _GRID)).astype(np.float32)
+    base = (np.rint(step.take(chunk, axis=1) * number + origin.take(chunk, axis=1)) * (1.0 / _GRID)).astype(np.float32)
     normal = normals.reshape(-1, 2)
     wide = np.repeat(reach, chunks)[:, None] * np.linspace(-_GRID, _GRID, columns)
     apart = np.rint(normal.T[..., None] * wide) * (1.0 / _GRID)

@@ -6,30 +6,35 @@ soft one no edges), so that their regions are all proposed and the fit decides b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
-from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from controller.vision.background import Box, Whitened
+from controller.vision.contours import (
+    SHORT,
+    Boxes,
+    Mask,
+    Standing,
+    Unknown,
+    above,
+    filled,
+    large,
+    nothing_known,
+    outer,
+    standing,
+    unseen,
+)
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-Mask = NDArray[np.uint8]
-Contour = MatLike
-Boxes = NDArray[np.int32]
-Unknown = Callable[[Boxes], NDArray[np.bool_]]
-"""Of boxes (N, 4), x, y, width and height, which (N,) show nothing known already."""
 
 _QUARTER_TURN = np.array([1.0, -1.0], np.float32)
 _WIDENED = np.array([0, 0, 1, 1], np.int32)
 """The box of a contour drawn twice as large is one pixel less than twice as wide."""
-_SHORT = 8
-"""Contours of fewer pixels hold nothing that a shape could be fitted to."""
 _ZONE = 3.0
 """Edge energy, over its median, where a zone ends: noise alone hardly ever exceeds twice the median."""
 _EDGE, _FAINT_EDGE = 3.5, 2.5
@@ -59,25 +64,6 @@ class Region:
     cue: str
     convex: float
     core: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Standing:
-    """What stands out of the table by its level.
-
-    Attributes:
-        mask: ndarray of shape (H, W), dtype uint8: 255 there, 0 elsewhere.
-        contours: Its outer contours.
-    """
-
-    mask: Mask
-    contours: Sequence[Contour]
-
-
-def standing(strength: Floats32, level: float) -> Standing:
-    """What stands out of a picture of strengths (H, W) above a level."""
-    mask = above(strength, level)
-    return Standing(mask, _outer(mask))
 
 
 def propose(
@@ -245,13 +231,13 @@ def _zones(
         flat = cv2.bitwise_and(flat, visible)
     contours, hierarchy = cv2.findContours(flat, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     # The fourth entry is the parent: holes have one, outer boundaries none.
-    outer = [
+    closed = [
         contour for contour, links in zip(contours, hierarchy[0] if contours else (), strict=True)
-        if links[3] < 0 and len(contour) >= _SHORT
+        if links[3] < 0 and len(contour) >= SHORT
     ]  # fmt: skip
     out = []
-    for contour in _left(outer, unknown):
-        area = _filled(contour)
+    for contour in unseen(closed, unknown):
+        area = filled(contour)
         if area < 0.25 * smallest or area > 0.3 * edges.size:
             continue
         hull = cv2.convexHull(contour)
@@ -276,53 +262,20 @@ def _outwards(hull: Floats32, by: float) -> Floats32:
     return np.asarray(hull + by * both / length, np.float32)
 
 
-def above(image: Floats32, level: float) -> Mask:
-    """255 where an image exceeds a level, else 0."""
-    return np.asarray(cv2.threshold(image, level, 255.0, cv2.THRESH_BINARY)[1], np.uint8)
-
-
-def _outer(mask: Mask) -> Sequence[Contour]:
-    """Outer contours of a mask, pixel by pixel."""
-    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-
-
 def _unknown(seen: Standing, smallest: float, unknown: Unknown) -> Mask | None:
     """Of what stands out all that is neither known nor too small; None when there is none."""
-    mask, kept = seen.mask, _left(_large(seen.contours, smallest), unknown)
+    mask, kept = seen.mask, unseen(large(seen.contours, smallest), unknown)
     if not kept or len(kept) == len(seen.contours):
         return mask if kept else None
     return mask & np.asarray(cv2.drawContours(np.zeros_like(mask), kept, -1, (255,), cv2.FILLED), np.uint8)
 
 
-def _large(contours: Sequence[Contour], smallest: float) -> list[Contour]:
-    """Those contours that hold an area that large."""
-    return [contour for contour in contours if len(contour) >= _SHORT and _filled(contour) >= smallest]
-
-
-def _left(contours: Sequence[Contour], unknown: Unknown) -> list[Contour]:
-    """Those contours that show nothing known already."""
-    if not contours:
-        return []
-    boxes = np.array([cv2.boundingRect(contour) for contour in contours], np.int32)
-    return [contour for contour, new in zip(contours, unknown(boxes).tolist(), strict=True) if new]
-
-
-def _all(boxes: Boxes) -> NDArray[np.bool_]:
-    """Nothing is known."""
-    return np.ones(len(boxes), bool)
-
-
-def _filled(contour: Contour) -> float:
-    """Area of what a contour holds, its own pixels included: the polygon through their centres misses half of them."""
-    return float(cv2.contourArea(contour)) + 0.5 * len(contour) + 1.0
-
-
 def _contours(
-    mask: Mask, smallest: float, cue: str, core: bool = False, unknown: Unknown = _all
+    mask: Mask, smallest: float, cue: str, core: bool = False, unknown: Unknown = nothing_known
 ) -> list[Region]:
     out = []
-    for contour in _left(_large(_outer(mask), smallest), unknown):
-        area = _filled(contour)
+    for contour in unseen(large(outer(mask), smallest), unknown):
+        area = filled(contour)
         hull = float(cv2.contourArea(cv2.convexHull(contour))) + 0.5 * len(contour) + 1.0
         out.append(Region(contour[:, 0].astype(np.float32), area, cue, min(1.0, area / hull), core))
     return out

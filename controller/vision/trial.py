@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.chunks import Batch, batch_of, corners
+from controller.vision.contours import Boxes
 from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
 from controller.vision.padded import KINDS, ROUND, areas
 from controller.vision.profiles import CHUNKS
-from controller.vision.proposals import Boxes
 from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.robust import median
 from controller.vision.scene import CLOSE, Judged, Scene, all_sampled, boxes, whole

@@ -9,7 +9,7 @@ from controller.vision.appearance import naming, texture
 from controller.vision.appearance.tiles import tiles
 from tests.benchmarks import surfaces
 from tests.benchmarks.surfaces import SQUARE, Thing
-from tests.benchmarks.texture import dataset, detection_of
+from tests.benchmarks.texture import dataset, detection_of, scene
 
 
 def test_six_textures_are_named_at_any_turn_size_blur_and_noise() -> None:
@@ -34,9 +34,16 @@ def test_a_descriptor_hardly_changes_with_the_turn() -> None:
     assert texture.names_of(values) == ["striped"] * 4
 
 
+def test_parts_of_no_contrast_are_called_as_their_descriptors_say() -> None:
+    picture, things, _, _ = scene(np.random.default_rng(8))
+    surface = tiles(picture, [detection_of(thing, Frame(1, 0.0, picture)) for thing in things])
+    assert texture.names(surface) == texture.names_of(texture.descriptors(surface))
+
+
 def test_no_parts_have_no_textures() -> None:
     assert texture.descriptors(tiles(np.zeros((40, 40, 3), np.uint8), [])).shape == (0, texture.LENGTH)
     assert texture.names_of(np.empty((0, texture.LENGTH), np.float32)) == []
+    assert texture.names(tiles(np.zeros((40, 40, 3), np.uint8), [])) == []
 
 
 def test_a_namer_learns_what_products_of_two_figures_can_tell() -> None:
