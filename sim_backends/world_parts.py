@@ -95,9 +95,9 @@ class LooseParts:
         self._away.add(index)
         self._settled()
 
-    def lay_at(self, index: int, x: float, y: float, yaw: float) -> None:
-        """Lay a part on the table at (x, y) of `base`, mm, turned by `yaw`, rad."""
-        self._lay(index, x, y, yaw)
+    def lay_at(self, index: int, x: float, y: float, yaw: float, foot: float = 0.0) -> None:
+        """Lay a part on the table at (x, y) of `base`, mm, turned by `yaw`, rad, or let it go `foot` mm over it."""
+        self._lay(index, x, y, yaw, foot)
         self._away.discard(index)
         self.disturbed[index] = float(self._data.time)
         self.aside = False
@@ -120,9 +120,9 @@ class LooseParts:
         part = self._parts[index]
         self._lay(index, part.x, part.y, part.yaw)
 
-    def _lay(self, index: int, x: float, y: float, yaw: float) -> None:
+    def _lay(self, index: int, x: float, y: float, yaw: float, foot: float = 0.0) -> None:
         turn = (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0))
-        self._put(index, (x * MM, y * MM, self._parts[index].height * MM / 2.0, *turn))
+        self._put(index, (x * MM, y * MM, (foot + self._parts[index].height / 2.0) * MM, *turn))
 
     def _carry_off(self, index: int) -> None:
         row, column = divmod(index, 8)
