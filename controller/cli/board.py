@@ -30,11 +30,11 @@ def board(
     if (spec is not None) + marker + corners != 1:
         raise typer.BadParameter("name either a board with --board SPEC, or --marker, or --corners")
     if spec is not None:
-        name, sheet = spec, lay_out(parse_board(spec))
+        name, sheet, then = spec, lay_out(parse_board(spec)), "glue it onto something flat and stiff"
     elif marker:
-        name, sheet = "marker", lay_out_marker(ArmMarker())
+        name, sheet, then = "marker", lay_out_marker(ArmMarker()), "glue it onto the gripper as it says"
     else:
-        name, sheet = "corners", lay_out_corners()
+        name, sheet, then = "corners", lay_out_corners(), "lay the four flat on the table, at the picture's rim"
     write_sheet(sheet, out)
     if as_json:
         page = {"paper": sheet.paper, "size_mm": sheet.size, "middle_mm": [round(value, 3) for value in sheet.middle]}
@@ -42,7 +42,7 @@ def board(
         return
     way = "landscape" if sheet.size[0] > sheet.size[1] else "portrait"
     print(f"written to {out}: {sheet.paper} {way}")
-    print("Print it at 100 % (not fitted to the page), measure its ruler, and glue it onto something flat and stiff.")
+    print(f"Print it at 100 % (not fitted to the page), measure its ruler, and {then}.")
 
 
 def add_to(app: typer.Typer) -> None:

@@ -65,6 +65,8 @@ def camera(
             except InputError as error:
                 rejected.append((str(path), error.cause.removeprefix(f"{path} ")))
                 print(f"warning: {error}", file=sys.stderr)
+        if not pictures:
+            raise InputError("none of the pictures can be read", "check their paths and permissions")
         seen, without = find_views(pictures, shown)
         rejected += without
     else:
