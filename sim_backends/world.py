@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from controller.domain import ArmDescription, Bin
 from sim_backends.arm_shape import BASE, LEFT, RIGHT, MarkerMount, arm_solids, link_name
 from sim_backends.imperfections import Imperfections
+from sim_backends.mechanics import MM, servo_angle
 from sim_backends.parts import COLOURS, Part
 from sim_backends.solids import Array, Solid
 from sim_backends.world_contacts import Collision, Contacts
-from sim_backends.world_model import HAND_AWAY, MM, STEP, bin_solids, build, part_solid, servo_angle
+from sim_backends.world_model import HAND_AWAY, STEP, bin_solids, build, part_solid
 from sim_backends.world_parts import LooseParts
 from sim_backends.world_servos import Shafts
 

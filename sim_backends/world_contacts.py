@@ -11,7 +11,8 @@ import numpy as np
 
 from controller.domain import ArmDescription
 from sim_backends.arm_shape import LEFT, RIGHT, link_name
-from sim_backends.world_model import CRADLE, MM, part_name
+from sim_backends.mechanics import MM
+from sim_backends.world_model import CRADLE, part_name
 
 # Touching again within this time is the same collision, s.
 _SAME_COLLISION = 0.25

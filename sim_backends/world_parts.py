@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backends.mechanics import MM
 from sim_backends.parts import Part
-from sim_backends.world_model import FLOOR, MM, part_name
+from sim_backends.world_model import FLOOR, part_name
 
 # A part this near to where it was laid has at most been pushed, mm: bins are further away.
 _PUSHED = 40.0

@@ -9,11 +9,11 @@ import numpy as np
 from controller.config.arm import load_arm
 from controller.domain import Bin, Shape
 from sim_backends.imperfections import Imperfections, draw
+from sim_backends.mechanics import servo_angle
 from sim_backends.parts import Part, area, outline
 from sim_backends.plant import Drive
 from sim_backends.solids import Array
 from sim_backends.world import World
-from sim_backends.world_model import servo_angle
 
 ARM = load_arm("reactorx_150")
 HEIGHTS = {Shape.SQUARE: 20.0, Shape.RECTANGLE: 22.0, Shape.CIRCLE: 24.0, Shape.HEXAGON: 26.0, Shape.TRIANGLE: 28.0}

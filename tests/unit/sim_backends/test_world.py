@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from controller.config.arm import load_arm
 from controller.domain import Shape
 from sim_backends.imperfections import draw
+from sim_backends.mechanics import MM, coupling, half_opening, horn_range, servo_angle
 from sim_backends.parts import SHAPES
 from sim_backends.plant import Drive
 from sim_backends.solids import Array
 from sim_backends.truth import can_reach, true_parts
 from sim_backends.world import World
-from sim_backends.world_model import MM, STEP, coupling, half_opening, horn_range, servo_angle
+from sim_backends.world_model import STEP
 from tests.unit.sim_backends.rig import ARM, BINS, GRASP_HEIGHT, GRIP_TORQUE, TABLE, Rig, down, part, world
 
 
