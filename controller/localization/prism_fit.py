@@ -28,8 +28,8 @@ _ARCS = 6
 """Parts of a circle's outline that a shadow or lamp shifts independently."""
 _CORNER = 3.0
 """Outline points this close to a silhouette corner, px, are left out: blur rounds corners."""
-_ROUNDS = 8
-"""A prism that explains its outline is found in two to seven rounds; one that does not may wander for ever."""
+_ROUNDS = 12
+"""A prism that explains its outline is found in two to eight rounds; one that does not may wander for ever."""
 _SETTLED = 1e-3
 """A step that moves no corner further than this, mm, is the last: the next one is smaller by orders of magnitude."""
 _WAVERING = 1e-2
