@@ -17,9 +17,23 @@ TALL_MM = 45.0
 """A prism on its side is as high as one of its own sides: this much may stand there."""
 
 
+_ALIKE_SIGMAS = 4.0
+"""Deviations of a place by which two sides that are alike differ at most: 3 of their difference."""
+
+
 def toppled(thing: LocatedObject) -> LocatedObject:
     """A thing that lies on its side: it has no name, and is higher than it was taken for."""
     return dataclasses.replace(nameless(thing), height=max(thing.height, TALL_MM))
+
+
+def may_be_square(thing: LocatedObject) -> bool:
+    """Whether a rectangle's sides are as long as each other by all that is known; a taught class knows its own views.
+
+    Args:
+        thing: What was located.
+    """
+    alike = thing.size[0] - thing.size[1] < _ALIKE_SIGMAS * thing.sigma
+    return thing.shape is Shape.RECTANGLE and thing.detection.label == str(thing.shape) and alike
 
 
 def lies_on_its_side(thing: LocatedObject, narrowest: float) -> bool:
@@ -32,3 +46,15 @@ def lies_on_its_side(thing: LocatedObject, narrowest: float) -> bool:
         narrowest: Short side of the narrowest part, mm.
     """
     return thing.size[1] < narrowest and thing.detection.label == str(thing.shape)
+
+
+def doubted(thing: LocatedObject, narrowest: float) -> LocatedObject:
+    """A thing as it is to be sorted: without a name where it lies on its side, or is a rectangle that may be a square.
+
+    Args:
+        thing: What was located.
+        narrowest: See `lies_on_its_side`.
+    """
+    if lies_on_its_side(thing, narrowest):
+        return toppled(thing)
+    return nameless(thing) if may_be_square(thing) else thing

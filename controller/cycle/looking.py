@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.cycle.doubt import lies_on_its_side, toppled
+from controller.cycle.doubt import doubted
 from controller.cycle.guard import Guard
 from controller.cycle.rig import Rig
 from controller.cycle.source import still_shows
@@ -116,7 +116,7 @@ class Looker:
         return detected
 
     def locate(self, detected: Detected) -> tuple[Located, list[LocatedObject]]:
-        """Where the detections of a look are, and those of them that are no dirt; what has toppled has no name.
+        """Where the detections of a look are, and those of them that are no dirt; what is in doubt has no name.
 
         Raises:
             Intruder: One is larger than any part.
@@ -125,8 +125,7 @@ class Looker:
         found = locate(detected.detections, self._rig.calibration, self._rig.part_height)
         self.guard.check_things(found)
         things = [thing for thing in found.objects if thing.size[0] >= config.vision.smallest_mm]
-        narrowest = config.vision.narrowest_mm
-        return found, [toppled(thing) if lies_on_its_side(thing, narrowest) else thing for thing in things]
+        return found, [doubted(thing, config.vision.narrowest_mm) for thing in things]
 
     def under_the_arm(self, frame: Frame, things: Sequence[LocatedObject]) -> tuple[LocatedObject, ...]:
         """What of some things of no known shape may lie under the arm as it stood in a frame; see `reaching_under`."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from controller.cycle.choice import NUDGES
+from controller.cycle.doubt import doubted
 from controller.domain import MoveReport, Result, Shape, Trajectory
 from controller.errors import MotionTimeout
 from controller.localization.locate import Located
@@ -86,3 +87,9 @@ def test_a_push_that_jams_ends_in_another_look(monkeypatch: pytest.MonkeyPatch, 
     after = [bench.commands[i + 1] for i, name in enumerate(bench.commands) if name == "push"]
     assert after
     assert set(after) == {"home"}
+
+
+@pytest.mark.parametrize(("size", "shape"), [((49.7, 49.5), Shape.OTHER), ((50.0, 36.0), Shape.RECTANGLE)])
+def test_a_rectangle_whose_sides_are_alike_is_not_believed(size: tuple[float, float], shape: Shape) -> None:
+    thing = dataclasses.replace(part(0, 0, Shape.RECTANGLE), size=size, sigma=0.24)
+    assert doubted(thing, 30.0).shape is shape
