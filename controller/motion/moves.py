@@ -93,8 +93,8 @@ class Moves:
         failure: LimitViolation | None = None
         clear = self.overhead.between(self.below(q0), self.below(goal))
         for legs, corners in ways.between(self.arm, clear, q0, goal):
-            trajectory = self.calm(name, legs, corners, CALM_SPEED)
             try:
+                trajectory = self.calm(name, legs, corners, CALM_SPEED)
                 self.gate.check(trajectory, q0)
             except LimitViolation as error:
                 failure = failure or error

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.domain import ArmDescription, Array, Trajectory
+from controller.errors import LimitViolation
 from controller.motion import dynamics
 from controller.motion.path import Path, speed_limits
 
@@ -23,6 +24,7 @@ SMOOTHING = 0.04  # s: the moving average that bounds the jerk at about 2 a / 40
 PAYLOAD_BLEND = 0.1  # s over which a gripped part's weight comes to the offset, and goes from it
 _GRID_STEP = 0.005  # phase; twice as coarse makes moves 2 % longer, for the samples between decide
 _FINE = 0.001  # s
+_LONGEST = 60.0  # s at full speed: whole turns of every joint take 4; a path with a cusp never ends
 _STRETCHES = 5  # tries to bring the samples under the limits, each nearer
 _TOLERANCE = 0.01  # share of a limit that the samples may exceed
 
@@ -127,11 +129,16 @@ def generate(
         joint_offsets: ndarray of shape (J,), added to every goal, rad.
         payload: Mass at the grasp point (kg) that the arm held before the move, and holds during it; the
             model goes over from one to the other within the first 0.1 s.
+
+    Raises:
+        LimitViolation: The path has a cusp, which would take for ever.
     """
     limits = speed_limits(arm), acceleration_limits(arm)
     timing = fastest(path, *limits)
     stretch = 1.0 / speed
     for _ in range(_STRETCHES):
+        if timing.times[-1] * stretch * speed > _LONGEST:
+            raise LimitViolation(f"{name}: a turn on the spot that no joint can follow", "nothing has moved")
         phase, rate, gain, ticks = _smoothed(timing, stretch)
         index = np.arange(ticks + 1) * round(PERIOD / _FINE)
         positions = np.asarray(path.spline(phase[index]))

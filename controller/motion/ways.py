@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice, product
 
 import numpy as np
 
 from controller.domain import ArmDescription, Array
 from controller.errors import Unreachable
-from controller.motion.kinematics import points
-from controller.motion.path import Leg, line, stroke
+from controller.motion.kinematics import chain, points
+from controller.motion.path import Leg, line, speed_limits, stroke
 from controller.motion.postures import LIFT
 
 CORNER = 100.0  # mm of sideways travel that are rounded into a stroke
+_ANGLES = 9  # of shoulder, elbow and wrist each, tried for a pose to leave a bad place by: about 25 deg apart
+_INSIDE = 0.15  # rad that such a pose keeps from the limits: rounded corners bulge
+_TRIES = 60  # of those poses at most, the nearest first: 5 ms each
 
 Way = tuple[list[Leg], list[tuple[float, float]]]
 """Legs, and the corners between them (see `path.join`)."""
@@ -45,6 +49,12 @@ def between(arm: ArmDescription, clear: float, q0: Array, goal: Array) -> Iterat
             [(5.0, CORNER / 2.0), (CORNER / 2.0, 5.0)],
         )
     yield [line(arm, q0, goal)], []
+    for out in islice(_raised(arm, clear, q0), _TRIES):
+        first, second = next(_tucked(arm, q0[0], goal[0]))
+        yield (
+            [line(arm, q0, out), line(arm, out, first), line(arm, first, second), line(arm, second, goal)],
+            [(5.0, 5.0), (5.0, CORNER / 2.0), (CORNER / 2.0, 5.0)],
+        )
 
 
 def climbing(arm: ArmDescription, clear: float, q0: Array, goal: Array, climb: float) -> Iterator[Way]:
@@ -64,3 +74,16 @@ def _tucked(arm: ArmDescription, waist: float, goal: float) -> Iterator[tuple[Ar
         first, second = np.array(pose), np.array(pose)
         first[0], second[0] = waist, goal
         yield first, second
+
+
+def _raised(arm: ArmDescription, clear: float, q0: Array) -> Iterator[Array]:
+    """Poses (J,) over everything at a pose's own waist angle and roll, the soonest reached first.
+
+    For an arm that has sunk, limp, to where neither straight up nor straight home is free.
+    """
+    c = chain(arm)
+    steps = [np.linspace(c.low[joint] + _INSIDE, c.high[joint] - _INSIDE, _ANGLES) for joint in (1, 2, 3)]
+    poses = np.tile(q0, (_ANGLES**3, 1))
+    poses[:, 1:4] = list(product(*steps))
+    poses = poses[points(arm, poses)[:, 1:, 2].min(axis=1) >= clear]
+    yield from poses[np.argsort(np.abs((poses - q0) / speed_limits(arm)).max(axis=1), kind="stable")]
