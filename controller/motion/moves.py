@@ -19,6 +19,7 @@ from controller.motion.path import Leg, join
 from controller.motion.trajectory import generate
 
 CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
+_FREE_IT = "nothing has moved: free the arm with `controller jog`, or by hand with its supply off, then reset"
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
 
 
@@ -101,7 +102,7 @@ class Moves:
             else:
                 return trajectory
         assert failure is not None
-        raise failure
+        raise LimitViolation(failure.cause, _FREE_IT)
 
     def approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
         """From a pose to the top of a stroke and down; approved.

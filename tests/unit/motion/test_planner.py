@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -186,6 +187,33 @@ def test_wherever_a_plan_is_stopped_the_arm_gets_home_and_parks(name: str) -> No
                 first = int(np.argmin(low)) if not low.all() else len(low)
                 assert np.linalg.norm(way[:first, :2] - way[0, :2], axis=1).max(initial=0.0) < 40.0
             stops += 1
+
+
+@pytest.mark.parametrize(
+    ("name", "pose"),
+    [
+        # beside a bin's wall, turned so that straight up is out of reach
+        ("reactorx_150", (138.1, 34.9, -22.2, 99.3, -38.6)),
+        # hand drawn in under the forearm: every straight way presses it into the column
+        ("reactorx_150", (40.5, 23.9, 62.8, 86.7, 24.8)),
+        ("reactorx_150", (-4.2, -27.8, 63.1, 111.7, 13.6)),
+    ],
+)
+@pytest.mark.safety("SR-21")
+def test_an_arm_that_has_sunk_limp_gets_home(name: str, pose: tuple[float, ...]) -> None:
+    walls = tuple(replace(box, height=50.0) for box in BINS)
+    planner = Planner(load_arm(name), calibration(), walls)
+    for back, goal in ((planner.home, planner.arm.ready), (planner.park, planner.arm.rest)):
+        assert back(np.radians(pose)).positions[-1] == pytest.approx(goal)
+
+
+def test_a_way_with_a_cusp_is_given_up_and_not_timed_for_ever() -> None:
+    planner = Planner(load_arm("open_manipulator_x"), calibration(), BINS)
+    try:
+        way = planner.home(np.radians([-1.3354348, -39.8239838, 63.1653504, 103.3515563]))
+    except LimitViolation:
+        return
+    assert way.duration < 10.0
 
 
 @pytest.mark.parametrize("name", ARMS)
