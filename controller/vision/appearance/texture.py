@@ -53,7 +53,10 @@ def names(surface: Tiles) -> list[str | None]:
         return []
     shades = _shades(surface)
     out: list[str | None] = [_PLAIN] * len(shades)
-    rough = np.flatnonzero(_contrast(shades, surface.material) >= _VISIBLE)
+    # Well within the material: an edge's blur is no texture.
+    deep = _deep(_side_by_side(surface.material.view(np.uint8)))
+    wide = _side_by_side(shades)
+    rough = np.flatnonzero(_dot(wide * wide, deep) >= _VISIBLE**2 * _sums(deep))
     if len(rough):
         for k, name in zip(rough.tolist(), names_of(_described(shades[rough], surface.material[rough])), strict=True):
             out[k] = name

@@ -36,10 +36,8 @@ _RIM = 0.07
 """How far inside the outline the material is looked at, share of the short side: beyond blur and side faces' edge."""
 _LEAST_RIM = 1.5
 """px of the frame: the blur of a sharp lens."""
-_THINNEST_RIM, _MOST_RIM = 2, 4
-"""px of a tile: bringing a part to it blurs its edge over one and a half."""
-_AROUND = slice(_CORE.start - _MOST_RIM, _CORE.stop + _MOST_RIM)
-"""A tile and what lies so far around it in the field."""
+_MOST_RIM = 4
+"""px of a tile."""
 _FEW = 12
 """Fewer pixels say nothing of a surface."""
 _NARROWEST = 3.0
@@ -95,9 +93,8 @@ def tiles(image: Image, detections: Sequence[Detection]) -> Tiles:
         cv2.fillPoly(form[k], [outline], (255,), cv2.LINE_AA, SHIFT)
     planes = np.array(cv2.split(shown.reshape(-1, SIDE, 3)), np.uint8).reshape(3, -1, SIDE, SIDE)
     table = surroundings(image, chosen, rings)
-    around = form[:, _AROUND, _AROUND] > 127
-    solid = around[:, _MOST_RIM:-_MOST_RIM, _MOST_RIM:-_MOST_RIM]
-    material = _eroded(around, np.clip(np.rint(rims).astype(int), _THINNEST_RIM, _MOST_RIM))
+    solid = form[:, _CORE, _CORE] > 127
+    material = _eroded(solid.view(np.uint8), np.clip(np.rint(rims).astype(int), 1, _MOST_RIM))
     few = counts(material) < _FEW
     material[few] = solid[few]
     hole = holes(planes, material, table, ["hole" in item.flags for item in chosen])
@@ -140,15 +137,16 @@ def _show(image: Image, middle: tuple[float, float], scale: float, out: Image) -
     cv2.warpAffine(image, matrix, (SIDE, SIDE), dst=out, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _eroded(around: Masks, rims: NDArray[np.intp]) -> Masks:
-    """Masks (N, SIDE, SIDE) with each rim taken off, px, of masks that reach _MOST_RIM further to all sides."""
-    out = np.empty((len(around), SIDE, SIDE), bool)
-    # Side by side, (height, N, width): long rows are what OpenCV is quick on.
-    row = np.ascontiguousarray(around.transpose(1, 0, 2)).view(np.uint8)
+def _eroded(masks: NDArray[np.uint8], rims: NDArray[np.intp]) -> Masks:
+    """The masks (N, SIDE, SIDE) with each rim taken off, px; what a tile's edge cuts counts as going on."""
+    out = np.empty(masks.shape, bool)
+    # Side by side, (SIDE, N, SIDE + gap): long rows are what OpenCV is quick on.
+    padded = np.ones((SIDE, len(masks), SIDE + 2 * _MOST_RIM), np.uint8)
+    padded[:, :, _MOST_RIM:-_MOST_RIM] = masks.transpose(1, 0, 2)
     for rim in set(rims.tolist()):
-        thin = np.asarray(cv2.erode(row.reshape(len(row), -1), _RIMS[rim]), np.uint8).reshape(row.shape)
+        thin = np.asarray(cv2.erode(padded.reshape(SIDE, -1), _RIMS[rim]), np.uint8).reshape(padded.shape)
         own = rims == rim
-        out[own] = thin[_MOST_RIM:-_MOST_RIM, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2) > 0
+        out[own] = thin[:, own, _MOST_RIM:-_MOST_RIM].transpose(1, 0, 2) > 0
     return out
 
 
