@@ -63,7 +63,7 @@ def test_half_a_minute_with_faults_and_disturbances_leaves_every_part_accounted_
 ) -> None:
     # Hours of it are `python -m tests.benchmarks.soak`.
     found = soak(
-        0.012, SEED, 3, faults_an_hour=150.0, disturbances_an_hour=300.0, folder=tmp_path, calibration=cell.calibration
+        0.012, SEED, 3, faults_an_hour=150.0, disturbances_an_hour=150.0, folder=tmp_path, calibration=cell.calibration
     )
     assert found.complaints == []
     assert found.supplies > 0
