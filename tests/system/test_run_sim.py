@@ -119,9 +119,7 @@ def test_the_stock_serial_path_sorts_in_real_time(
     assert found["sim_s"] == pytest.approx(found["wall_s"], abs=0.5)  # both clocks are the system's
 
 
-def test_the_simulation_needs_nothing_that_only_posix_has(
-    first_run: tuple[Path, dict[str, Any]], tmp_path: Path, environment: dict[str, str]
-) -> None:
+def test_the_simulation_needs_nothing_that_only_posix_has(tmp_path: Path, environment: dict[str, str]) -> None:
     program = """
 import sys
 import subprocess, serial  # these choose their own system's modules
@@ -130,8 +128,7 @@ for name in ("fcntl", "termios", "tty", "pty", "grp", "pwd", "resource", "syslog
 from controller.cli import main
 main(sys.argv[1:])
 """
-    arguments = map(str, (*RUN, "--parts", 1, "--calibration", first_run[0] / "calibration", "--out", "run"))
-    command = [sys.executable, "-c", program, *arguments]
+    command = [sys.executable, "-c", program, *map(str, (*RUN, "--parts", 1, "--out", "run"))]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert figures(done.stdout)["correct"] == 1
