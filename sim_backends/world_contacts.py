@@ -69,26 +69,29 @@ class Contacts:
         self.held: frozenset[int] = frozenset()
         self.welcome: frozenset[int] = frozenset()
         self.disturbed: Mapping[int, float] = {}
-        self._kinds = np.full(model.ngeom, _OTHER, np.int8)
-        self._part_of = np.full(model.ngeom, -1, np.intp)
+        self._kinds = [_OTHER] * model.ngeom
+        self._part_of = [-1] * model.ngeom
         self._names: list[str] = []
         self._classify(model)
+        self._of_arm = np.isin(self._kinds, (_LINK, _JAW))
 
     def look(self, now: float) -> None:
         """Note who touches whom at this moment, s."""
         data = self._data
         count = data.ncon
         held: dict[int, set[str]] = {}
+        between: dict[int, bool] = {}
         if count:
             pairs = data.contact.geom[:count]
-            kinds = self._kinds[pairs]
-            for row in np.flatnonzero(((kinds == _LINK) | (kinds == _JAW)).any(axis=1)):
-                first, second = pairs[row]
-                mine, other = (first, second) if kinds[row, 0] in (_LINK, _JAW) else (second, first)
+            of_arm = self._of_arm[pairs]
+            for first, second in pairs[of_arm[:, 0] | of_arm[:, 1]].tolist():
+                mine, other = (first, second) if self._kinds[first] in (_LINK, _JAW) else (second, first)
                 if self._kinds[other] < _PART:
                     continue  # the arm leans on itself
-                part = int(self._part_of[other])
-                if part >= 0 and self._between_jaws(part):
+                part = self._part_of[other]
+                if part >= 0 and part not in between:
+                    between[part] = self._between_jaws(part)
+                if part >= 0 and between[part]:
                     if self._kinds[mine] == _JAW:
                         held.setdefault(part, set()).add(self._names[mine])
                     continue

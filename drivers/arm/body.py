@@ -44,7 +44,6 @@ class Body:
         gripper: The gripper's servo.
         stall: ndarray of shape (J,), rad: how far from a joint its goal has the servo push with its whole torque.
         goals: ndarray of shape (J,), rad: what the joints were told last.
-        latest: The last complete state, or None.
         listener: Is told every complete cycle of a streamed move, or None.
     """
 
@@ -57,7 +56,7 @@ class Body:
         self.gripper = self.servos[len(description.joints)]
         self.stall: Array = np.array([stall_angle(joint.gains[0]) for joint in self.joints])
         self.goals: Array = np.zeros(len(self.joints))
-        self.latest: ArmState | None = None
+        self._heard: tuple[float, Mapping[int, Telemetry]] | None = None
         self.listener: Callable[[ServoCycle], None] | None = None
 
     def read(self, operation: str) -> dict[int, Telemetry | None]:
@@ -65,20 +64,27 @@ class Body:
         found = read_telemetry(self.bus, self.servos, operation)
         complete = {servo_id: telemetry for servo_id, telemetry in found.items() if telemetry is not None}
         if len(complete) == len(self.servos):
-            self.latest = self._state(complete)
+            self._heard = self.clock.now(), complete
         return found
+
+    @property
+    def latest(self) -> ArmState | None:
+        """The last complete state, or None; from any thread."""
+        heard = self._heard
+        return None if heard is None else self._state(*heard)
 
     def state(self, operation: str = "read state") -> ArmState:
         """The whole arm, asking again where a servo does not answer. Raises BusError, ServoFault."""
-        self.latest = self._state(read_telemetry_surely(self.bus, self.servos, operation))
-        return self.latest
+        found = read_telemetry_surely(self.bus, self.servos, operation)
+        self._heard = self.clock.now(), found
+        return self._state(*self._heard)
 
-    def _state(self, found: Mapping[int, Telemetry]) -> ArmState:
+    def _state(self, at: float, found: Mapping[int, Telemetry]) -> ArmState:
         joints = [found[joint.servo_id] for joint in self.joints]
         jaw = found[self.gripper.servo_id]
         gripper = self.description.gripper
         return ArmState(
-            at=self.clock.now(),
+            at=at,
             positions=np.array([telemetry.position for telemetry in joints]),
             velocities=np.array([telemetry.velocity for telemetry in joints]),
             opening=opening_from_angle(gripper, jaw.position),
@@ -156,8 +162,10 @@ class MissCounter:
     def failure(self, found: Mapping[int, Telemetry | None], operation: str) -> BusError | None:
         """Take one cycle in; the error once a servo has been silent for too long."""
         for servo in self._servos:
-            silent = found.get(servo.servo_id) is None
-            self._missed[servo.servo_id] = self._missed[servo.servo_id] + 1 if silent else 0
+            if found.get(servo.servo_id) is not None:
+                self._missed[servo.servo_id] = 0
+                continue
+            self._missed[servo.servo_id] += 1
             if self._missed[servo.servo_id] >= MISSED_CYCLES:
                 cause = f"no answer in {MISSED_CYCLES} cycles"
                 return BusError(servo.title, operation, "timeout", cause, "check its cable and the 12 V supply")

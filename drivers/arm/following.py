@@ -10,7 +10,7 @@ servos' torque asks for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -193,26 +193,34 @@ class Follower:
 
     def _look(self) -> bool:
         """Take the servos' feedback in and judge it; True when every joint has answered."""
-        found: dict[int, Telemetry | None] = {}
+        found: Mapping[int, Telemetry | None] = {}
 
         def read() -> None:
-            found.update(self._body.read(self._trajectory.name))
+            nonlocal found
+            found = self._body.read(self._trajectory.name)
 
         self._guard(read)
         self._failure = self._failure or self._misses.failure(found, self._trajectory.name)
         joints = self._body.joints
-        answers = [found.get(joint.servo_id) for joint in joints]
-        for index, telemetry in enumerate(answers):
-            if telemetry is not None:
-                self._present[index] = telemetry.position
-                self._speeds[index] = abs(telemetry.velocity)
+        complete = True
+        for index, joint in enumerate(joints):
+            telemetry = found.get(joint.servo_id)
+            if telemetry is None:
+                complete = False
+                continue
+            self._present[index] = telemetry.position
+            self._speeds[index] = abs(telemetry.velocity)
         jaw = found.get(self._body.gripper.servo_id)
         if jaw is not None:
             self._jaws = opening_from_angle(self._body.description.gripper, jaw.position)
         error = np.abs(self._present - self._progress.positions)
-        self._worst = max(self._worst, float(error.max()))
-        self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)
-        if self._failure is None and self._astray.max() >= _FOLLOWING_CYCLES:
+        largest = float(error.max())
+        self._worst = max(self._worst, largest)
+        if largest > FOLLOWING_LIMIT:
+            self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)
+        else:
+            self._astray.fill(0)
+        if self._failure is None and largest > FOLLOWING_LIMIT and self._astray.max() >= _FOLLOWING_CYCLES:
             index = int(self._astray.argmax())
             # The way is blocked: stop at once, and let go what stands off its goal before it overloads.
             offset = self._progress.goals - self._progress.positions
@@ -225,7 +233,7 @@ class Follower:
             cause = f"{self._progress.slipped:.1f} s lost to late cycles"
             remedy = "relieve the machine; check the adapter's latency and the baud rate"
             self._failure = MotionTimeout(self._body.bus.name, self._trajectory.name, cause, remedy)
-        return None not in answers
+        return complete
 
     def _after_silence(self) -> None:
         """The servos' watchdog may have stopped them: go on from where they stand."""

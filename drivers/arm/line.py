@@ -100,10 +100,12 @@ class Line:
 
     def by_silence(self, servo_ids: Sequence[int]) -> list[int]:
         """Those silent a moment ago last, where they cannot hold the others up."""
-        now = self._clock.now()
-        self._late = {servo_id: until for servo_id, until in self._late.items() if until > now}
+        if self._late:
+            now = self._clock.now()
+            self._late = {servo_id: until for servo_id, until in self._late.items() if until > now}
         if not self._late:
             self._pad = 0
+            return list(servo_ids)
         return sorted(servo_ids, key=self._late.__contains__)
 
     def wait_out_late(self, servo_ids: Iterable[int]) -> None:
@@ -162,7 +164,7 @@ class Line:
             if not chunk or (start >= 0 and len(buffer) - start >= total):
                 break
             heard = max(0, len(buffer) - start - 8) // (size + 4) if start >= 0 else 0
-            known = self._late.keys() >= set(servo_ids[heard:])
+            known = all(servo_id in self._late for servo_id in servo_ids[heard:])
             deadline = self._clock.now() + block_time
             deadline += min(self.latency, _LATENCY_AGAIN) if known else self.latency
         blocks = protocol.fast_blocks(buffer[start : start + total], size) if start >= 0 else []

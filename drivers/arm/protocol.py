@@ -11,8 +11,8 @@ page `dxl/crc`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from dynamixel_sdk import robotis_def
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
@@ -77,8 +77,7 @@ def error_text(error: int) -> str:
     return text.removeprefix("[RxPacketError] ").rstrip("!")
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(NamedTuple):
     """One status packet whose checksum is right.
 
     Attributes:
@@ -177,18 +176,22 @@ def fast_blocks(packet: bytes, size: int) -> list[Status]:
         size: Bytes read from each servo.
     """
     found: list[Status] = []
-    crc = crc16(packet[: _PREFIX + 1])
+    crc = summed = 0
     for start in range(_PREFIX + 1, len(packet) - size - 3, size + 4):
-        block = packet[start : start + size + 4]
-        crc = crc16(block[:-2], crc)
-        if crc != block[-2] | block[-1] << 8:
+        end = start + size + 2
+        crc = crc16(packet[summed:end], crc)
+        if crc != packet[end] | packet[end + 1] << 8:
             break
-        found.append(Status(block[1], block[0], block[2:-2]))
-        crc = crc16(block[-2:], crc)
+        found.append(Status(packet[start + 1], packet[start], packet[start + 2 : end]))
+        summed = end
     return found
 
 
 def find_fast(buffer: bytes, servos: int, size: int) -> int:
     """Index of the header of a fast sync read's reply in `buffer`, or -1."""
-    head = _HEADER + bytes((BROADCAST,)) + fast_length(servos, size).to_bytes(2, "little") + bytes((STATUS,))
-    return buffer.find(head)
+    return buffer.find(_fast_head(fast_length(servos, size)))
+
+
+@lru_cache(maxsize=16)  # a control loop looks for the same one every cycle
+def _fast_head(length: int) -> bytes:
+    return _HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))

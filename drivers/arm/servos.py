@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from controller.domain import ArmDescription
 from controller.errors import BusError, ConfigError, ServoFault
@@ -100,8 +101,7 @@ def _limits(low: float, high: float) -> tuple[int, int]:
     return max(0, ticks_from_angle(low - LIMIT_MARGIN)), min(TICKS_MAX, ticks_from_angle(high + LIMIT_MARGIN))
 
 
-@dataclass(frozen=True, slots=True)
-class Telemetry:
+class Telemetry(NamedTuple):
     """One servo's feedback.
 
     Attributes:

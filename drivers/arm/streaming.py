@@ -93,9 +93,14 @@ class Progress:
 
     def _told(self) -> Array:
         """The trajectory's goals for the rate it is passed at: the lead against lag shrinks with it, sag stays."""
-        resting, lead, push = self._shares()
-        middle = self.rate + 0.5 * self._gain * self._trajectory.period
-        return np.asarray(resting + middle * lead + self._gain * push)
+        move = self._trajectory
+        middle = self.rate + 0.5 * self._gain * move.period
+        goals = self._sample(move.goals)
+        resting = goals if move.resting is None else self._sample(move.resting)
+        told = resting + middle * (goals - resting)
+        if self._gain != 0.0 and move.braking is not None:
+            told += self._gain * self._sample(move.braking)
+        return np.asarray(told)
 
     def _shares(self) -> tuple[Array, Array, Array]:
         """What a goal consists of: to stand still here, to pass at full rate, and for each 1/s the rate changes by."""

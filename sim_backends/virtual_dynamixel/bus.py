@@ -90,7 +90,7 @@ class VirtualBus:
     @property
     def servo_ids(self) -> list[int]:
         """IDs on the bus, ascending."""
-        return sorted(self._listeners.by_id)
+        return list(self._listeners.ids)
 
     # --- faults -------------------------------------------------------------------------------------------
 
@@ -194,7 +194,7 @@ class VirtualBus:
 
     def _obey(self, packet: Packet, end: float) -> Replies:
         if self.faults.active:
-            lost, befalls = self.faults.on_instruction(self.servo_ids)
+            lost, befalls = self.faults.on_instruction(self._listeners.ids)
             for fault, servo_id in befalls:
                 self.strike(fault, servo_id)
             if lost or not self.connected:

@@ -31,7 +31,7 @@ LOOP = 0.001
 
 
 def _clip(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))
+    return -limit if value < -limit else limit if value > limit else value
 
 
 class ControlLoop:

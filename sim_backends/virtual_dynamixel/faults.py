@@ -34,6 +34,7 @@ class Fault(StrEnum):
 
 
 ON_SERVO = (Fault.SILENT, Fault.REBOOT, Fault.OVERLOAD, Fault.SHOCK, Fault.UNDERVOLTAGE, Fault.OVERHEAT, Fault.ENCODER)
+_ON_INSTRUCTION = frozenset((*ON_SERVO, Fault.DISCONNECT, Fault.LOST))
 
 
 class FaultInjector:
@@ -96,6 +97,8 @@ class FaultInjector:
     def on_instruction(self, servo_ids: list[int]) -> tuple[bool, list[tuple[Fault, int]]]:
         """(the packet is lost, what befalls which servo before it is heard)."""
         befalls: list[tuple[Fault, int]] = []
+        if not self._due and self._rates.keys().isdisjoint(_ON_INSTRUCTION):
+            return False, befalls
         for fault in (*ON_SERVO, Fault.DISCONNECT):
             for due, wanted, _ in list(self._due):
                 if due is fault and self._strikes(fault, wanted):

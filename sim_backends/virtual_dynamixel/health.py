@@ -65,7 +65,7 @@ class Health:
             now: s.
             torque: Of the motor, Nm, absolute; 0 with torque off.
         """
-        model, get = self._model, self._table.get
+        model, memory = self._model, self._table.memory
         current = torque / model.torque_constant
         loss = current * current * model.voltage / model.stall_current
         self.temperature += dt / THERMAL_TIME * (AMBIENT + THERMAL_RESISTANCE * loss - self.temperature)
@@ -76,8 +76,9 @@ class Health:
             self._overload_since = now
         elif now - self._overload_since >= OVERLOAD_TIME:
             bits |= ERROR_OVERLOAD
-        if self.temperature > get("Temperature_Limit"):
+        if self.temperature > memory[31]:  # Temperature_Limit
             bits |= ERROR_OVERHEAT
-        if not get("Min_Voltage_Limit") <= round(self.supply * 10) <= get("Max_Voltage_Limit"):
+        highest, lowest = memory[32] | memory[33] << 8, memory[34] | memory[35] << 8  # Max_, Min_Voltage_Limit
+        if not lowest <= round(self.supply * 10) <= highest:
             bits |= ERROR_VOLTAGE
         return bits & ~self.bits

@@ -51,6 +51,7 @@ class Listeners:
     Attributes:
         baud: May be changed.
         by_id: Owner of each ID.
+        ids: Those that have an owner, ascending.
         doubled: IDs that more than one servo has.
     """
 
@@ -58,6 +59,7 @@ class Listeners:
         self._servos = tuple(servos)
         self.baud = baud
         self.by_id: dict[int, VirtualServo] = {}
+        self.ids: list[int] = []
         self.doubled: set[int] = set()
         self._also: dict[int, list[VirtualServo]] = {}
         self._execute: dict[int, Callable[[Packet, float], list[Answer]]] = {
@@ -83,6 +85,7 @@ class Listeners:
                 self._also.setdefault(own, []).append(servo)
             if secondary <= 252 and secondary != own:
                 self._also.setdefault(secondary, []).append(servo)
+        self.ids = sorted(self.by_id)
 
     def execute(self, packet: Packet, now: float) -> list[Answer]:
         """Carry out an instruction; the answers in the order of the line."""
@@ -90,7 +93,9 @@ class Listeners:
 
     def _listening(self, servo_id: int, now: float) -> VirtualServo | None:
         servo = self.by_id.get(servo_id)
-        return servo if servo and servo.awake(now) and BAUD_RATES[servo.table.memory[8]] == self.baud else None
+        if servo is None or BAUD_RATES[servo.table.memory[8]] != self.baud or not servo.awake(now):
+            return None
+        return servo
 
     def _targets(self, servo_id: int, now: float) -> list[VirtualServo]:
         """Everyone who obeys a write to this ID: its owner, its shadows, or all."""
@@ -158,7 +163,7 @@ class Listeners:
     def _ping(self, packet: Packet, now: float) -> list[Answer]:
         everyone = packet.servo_id == BROADCAST
         answers = []
-        for servo_id in sorted(self.by_id) if everyone else (packet.servo_id,):
+        for servo_id in self.ids if everyone else (packet.servo_id,):
             servo = self._listening(servo_id, now)
             if servo:
                 memory = servo.table.memory
@@ -205,7 +210,7 @@ class Listeners:
         Each block is ERR ID DATA CRC; every CRC covers all bytes before it. Assumption: a servo that cannot
         read the address fills its data with zeros.
         """
-        raw = b""
+        raw = tail = b""
         crc = 0
         first: VirtualServo | None = None
         for servo_id, address, length in items:
@@ -217,9 +222,8 @@ class Listeners:
             if first is None:
                 first = servo
                 block = fast_status_head(1 + sum(4 + item[2] for item in items)) + block
-            crc = crc16(block, crc)
+            crc = crc16(tail + block, crc)
             tail = crc.to_bytes(2, "little")
-            crc = crc16(tail, crc)
             raw += block + tail
         return [Answer(BROADCAST, first, raw)] if first else []
 
