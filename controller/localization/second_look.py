@@ -63,14 +63,14 @@ def second_looks(
         sound, strain = objection(fit) is None, abs(fit.height - thing.height) / noise.height
         if not sound or strain > _STRAINED or beside > _DOUBTFUL:
             limit[i] = float(beside) - _MARGIN if sound and strain <= _TORN else np.inf
-    # What the plainest start explains needs no other.
-    for nearby in (_of_height, _elsewhere):
-        doubtful = [i for i, most in enumerate(limit) if most >= _MARGIN]
+    # Every doubtful one is tried at its stated height; what that explains, or does not mend, needs no other start.
+    for nearby, least in ((_of_height, 0.0), (_elsewhere, _MARGIN)):
+        doubtful = [i for i, most in enumerate(limit) if most > least]
         owners, starts = nearby([prisms[i] for i in doubtful], calibration, noise)
         owners, found = _settled([doubtful[k] for k in owners], starts, calibration, noise)
         for i, prism, value in zip(owners, found, misfits(image, corners(found, calibration)), strict=True):
             thing, fit = prism
-            if limit[i] < _MARGIN or value >= limit[i] or abs(fit.height - thing.height) > _TORN * noise.height:
+            if limit[i] <= least or value >= limit[i] or abs(fit.height - thing.height) > _TORN * noise.height:
                 continue
             if objection(fit) is None:
                 best[i], limit[i] = fit, float(value)

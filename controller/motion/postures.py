@@ -15,7 +15,6 @@ from controller.domain import ArmDescription, Array, Bin, ErrorMap, Grasp, Point
 from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
 from controller.motion.gate import WALL_MARGIN, Gate
-from controller.motion.grasps import release_opening
 from controller.motion.kinematics import (
     FACING_UP,
     TOP_DOWN,
@@ -149,7 +148,8 @@ class Postures:
         half = np.array(bin.size) / 2.0
         if (np.abs(np.array(drop) - bin.center) > half).any():
             raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
-        opening = release_opening(grasp) if grasp is not None else gripper.opening[1]
+        # As wide as the gate judges the way: so far the jaws open when they keep the part at the first try.
+        opening = grasp.opening if grasp is not None else gripper.opening[1]
         brim = bin.height + WALL_MARGIN + SETTLING
         over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
         deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)

@@ -107,6 +107,18 @@ def test_the_known_pile_decides_how_deep_a_part_is_let_go() -> None:
     assert tool_way(plan, 1)[-1, 2] - 15.0 > box.height
 
 
+def test_a_part_is_let_go_anywhere_in_a_bin_as_deep_as_the_open_jaws_fit() -> None:
+    box, planner = BINS[1], PLANNER.filled({BINS[1].name: 0.0})
+    thing = part(Shape.TRIANGLE, 36.0, at(200.0, 10.0))
+    heights = []
+    # In steps of half of what the jaws open less over a bin than they may: from places where they fit to where not.
+    for beside in range(6, 22):
+        plan = planner.plan_pick(thing, (), box, (box.center[0] + beside, box.center[1] + beside), READY)
+        heights.append(tool_way(plan, 1)[-1, 2])
+    assert heights[0] == pytest.approx(15.0 + 4.0 + 8.0, abs=1e-3)
+    assert heights[-1] - 15.0 > box.height
+
+
 @pytest.mark.parametrize("radius", [160.0, 200.0, 250.0])
 def test_jaws_and_what_they_hold_pass_over_what_stands_out_of_a_bin_on_the_way(radius: float) -> None:
     thing = part(Shape.SQUARE, 36.0, at(radius, 10.0))
