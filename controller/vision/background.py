@@ -7,6 +7,7 @@ to the table, or taken from a picture of the empty table.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,7 +26,8 @@ _STRIP = 30_000
 _NOISE_FLOOR = 1.0
 """Smallest standard deviation (levels) believed: compression makes flat blocks that look free of noise."""
 _LEAST = np.eye(3) * _NOISE_FLOOR**2 / 3.0
-_UPRIGHT = 1e-6 * np.eye(3)
+_ADDED = 1e-6
+_UPRIGHT = _ADDED * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +69,13 @@ def whiten(image: Floats32, empty: Floats32 | None = None, box: Box | None = Non
     samples = _columns(reference[grid, grid])
     coefficients, rest, weight = _robust_surface(samples, _sampled_terms(height, width, step))
     covariance = _robust_covariance(rest, weight) + _LEAST
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitener = _inverse_root(covariance)
     difference, strength, half = _differences(reference, coefficients, whitener, box)
     colours = samples if empty is None else _columns(image[grid, grid])
     colour = colours @ (weight + np.float32(1e-6)) / (weight.sum() + 1e-6 * len(weight))
     beside = np.minimum(np.arange(step // 2, width, step) + 1, width - 1)
     steps = samples - _columns(reference[grid, beside])
-    fine = np.linalg.inv(np.linalg.cholesky(_robust_covariance(steps, weight) + _LEAST))
+    fine = _inverse_root(_robust_covariance(steps, weight) + _LEAST)
     return Whitened(difference, strength, half, whitener, colour.astype(np.float64), fine @ np.linalg.inv(whitener))
 
 
@@ -135,7 +137,8 @@ def _robust_surface(samples: Floats32, terms: Floats32) -> tuple[Floats, Floats3
         weighted = basis * weight
         normal = weighted @ basis.T
         normal.flat[:: len(basis) + 1] += 1e-9 * len(weight)
-        coefficients = np.linalg.solve(normal.astype(np.float64), weighted @ samples.T)
+        _, found = cv2.solve(normal.astype(np.float64), (weighted @ samples.T).astype(np.float64))
+        coefficients = np.asarray(found, np.float64)
         rest = samples - coefficients.T.astype(np.float32) @ basis
     return coefficients, rest, weight
 
@@ -214,6 +217,22 @@ def _robust_covariance(rest: Floats32, weight: Floats32) -> Floats:
         chosen = rest * keep
         mean = chosen.sum(axis=1) / count
         covariance = (chosen @ rest.T - count * np.outer(mean, mean)) / (count - 1.0) + _UPRIGHT
-        far = _squares(np.linalg.inv(np.linalg.cholesky(covariance)).astype(np.float32) @ rest)
+        far = _squares(_inverse_root(covariance).astype(np.float32) @ rest)
         keep = (far < 9.0 + 2.2).astype(np.float32)
     return np.asarray(covariance)
+
+
+def _inverse_root(covariance: Floats) -> Floats:
+    """Inverse of the lower Cholesky factor of a covariance (3, 3), by its formulas: a call of LAPACK costs far more."""
+    (xx, _, _), (xy, yy, _), (xz, yz, zz) = covariance.tolist()
+    a = math.sqrt(xx)
+    b, c = xy / a, xz / a
+    # Of channels that are nearly alike rounding may leave less than was added to the diagonal.
+    d = math.sqrt(max(yy - b * b, _ADDED))
+    e = (yz - b * c) / d
+    f = math.sqrt(max(zz - c * c - e * e, _ADDED))
+    return np.array([
+        [1.0 / a, 0.0, 0.0],
+        [-b / (a * d), 1.0 / d, 0.0],
+        [(b * e / d - c) / (a * f), -e / (d * f), 1.0 / f],
+    ])  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.vision.contours import Standing
-from controller.vision.fitting import Hypothesis, edges_of, fit_at_once
+from controller.vision.fitting import edges_of, fit_at_once
 from controller.vision.local_map import local_maps
 from controller.vision.profiles import bilinear
 from controller.vision.proposals import Region
@@ -79,15 +79,16 @@ def clear_objects(scene: Scene, strength: Floats32, standing: Standing, smallest
         return scene, []
     local = maps.all_to_local(points)
     edges = edges_of(local[:, :, None], found[..., None].astype(np.float64))
-    fits = fit_at_once(local, edges, scene.factor)
-    wanted: list[Hypothesis] = []
-    for options in fits:
-        if options and options[0].inliers > _ON_OUTLINE:
-            best = options[0].cost
-            wanted += [
-                h for h in options if h.cost <= max(_DOUBT * best, best + _DOUBT_COST) or h.size < SMALL
-            ]
+    wanted = fit_at_once(local, edges, scene.factor, _plausible)
     return scene, [item for item in tried(scene, wanted, 1.0) if whole(item) and _stayed(item, scene.factor)]
+
+
+def _plausible(cost: Floats, inliers: Floats, size: Floats) -> NDArray[np.bool_]:
+    """Which of the fits (F, K) of families to outlines may be the right ones."""
+    cost = np.where(np.isnan(cost), np.inf, cost)
+    best = cost.min(axis=0)
+    near = (cost <= np.maximum(_DOUBT * best, best + _DOUBT_COST)) | (size < SMALL)
+    return np.asarray(near & (inliers[cost.argmin(axis=0), np.arange(cost.shape[1])] > _ON_OUTLINE))
 
 
 def _stayed(item: Judged, factor: int) -> bool:

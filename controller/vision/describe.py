@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -78,7 +79,8 @@ class Rings:
         side = np.repeat(np.arange(len(pieces)), pieces)
         along = (np.arange(ends[-1]) - (ends - pieces)[side]) / pieces[side]
         points = self.points[side] + self.sides[side] * along[:, None]
-        return np.split(points, ends[self.first + self.count - 1][:-1])
+        last = ends[self.first + self.count - 1].tolist()
+        return [points[a:b] for a, b in pairwise([0, *last])]
 
 
 def described(frame: Frame, found: Sequence[Found]) -> list[Detection]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,7 @@ class Edges:
         return Edges(points.reshape(count, 3, -1), self.weight[:, ::2])
 
 
+Plausible = Callable[[Floats, Floats, Floats], NDArray[np.bool_]]
 Model = Callable[[Rows, Floats, Edges, Floats32 | None], tuple[Floats32, Floats32]]
 
 
@@ -103,19 +105,22 @@ def edges_of(places: Floats, weight: Floats) -> Edges:
     return Edges(points, np.minimum(relative, 1.0).astype(np.float32))
 
 
-def fit_at_once(outlines: Floats, edges: Edges, factor: int) -> list[list[Hypothesis]]:
-    """For every region, its fits to all families, best first, where there are no stray edges to find a way between.
+def fit_at_once(outlines: Floats, edges: Edges, factor: int, plausible: Plausible) -> list[Hypothesis]:
+    """Plausible fits of all families, where there are no stray edges to find a way between: region by region.
 
     Args:
         outlines: ndarray of shape (K, N, 2): points of the outline of each region, local coordinates.
         edges: The edges around each, one a ray.
         factor: How many times smaller the searched image is: so much worse the edges are known.
+        plausible: Of the costs, shares of inliers and sizes (F, K) of F families, which are worth a look.
     """
     count = len(outlines)
     kind, region = _every(count)
     near = edges.some(region)
     q = _fit(kind, _starts(outlines), near, factor, _AT_ONCE)
-    return _hypotheses(kind, region, q, _quality(kind, q, near, factor), count)
+    quality = _quality(kind, q, near, factor)
+    chosen = plausible(*(values.reshape(len(KINDS), count) for values in quality)).ravel()
+    return list(chain.from_iterable(_hypotheses(kind, region, q, quality, count, chosen)))
 
 
 def fit_all(outlines: Floats, edges: Edges, factor: int) -> list[list[Hypothesis]]:
@@ -149,12 +154,13 @@ def _every(count: int) -> tuple[Rows, Rows]:
 
 
 def _hypotheses(
-    kind: Rows, region: Rows, q: Floats, quality: tuple[Floats, Floats, Floats], count: int
+    kind: Rows, region: Rows, q: Floats, quality: tuple[Floats, Floats, Floats], count: int,
+    chosen: NDArray[np.bool_] | bool = True,
 ) -> list[list[Hypothesis]]:
-    """The fits (R,) to each of `count` regions, best first."""
+    """Those of the fits (R,) to each of `count` regions that are chosen, best first."""
     cost, inliers, size = quality
     out: list[list[Hypothesis]] = [[] for _ in range(count)]
-    usable = np.isfinite(q).all(axis=1)
+    usable = np.isfinite(q).all(axis=1) & chosen
     order = np.flatnonzero(usable)[np.argsort(cost[usable], kind="stable")]
     told = (values[order].tolist() for values in (kind, region, cost, inliers, size))
     for own, k, at, *figures in zip(q[order], *told, strict=True):

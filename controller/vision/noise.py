@@ -41,8 +41,8 @@ def pixel_noise(image: Image) -> Floats:
     size = np.abs(second)
     # Every other place is enough for the median.
     scale = np.maximum(np.float32(1.4826) * median(size[:, ::2], 1), np.float32(0.5))
-    kept = second[:, (size < np.float32(3.5) * scale[:, None]).all(axis=0)]
-    covariance = kept @ kept.T / (6.0 * max(kept.shape[1], 1))
+    kept = (size < np.float32(3.5) * scale[:, None]).all(axis=0)
+    covariance = (second * kept) @ second.T / (6.0 * max(int(np.count_nonzero(kept)), 1))
     # Rounding alone has a variance of 1/12; compression hides noise in flat blocks.
     return np.asarray(covariance + np.eye(3) * 0.3)
 

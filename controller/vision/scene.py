@@ -103,7 +103,7 @@ class Scene:
         rows, columns = self.white.difference.shape[:2]
         x = np.minimum(np.maximum(places[..., 0], 0), columns - 1)
         y = np.minimum(np.maximum(places[..., 1], 0), rows - 1)
-        return np.asarray(self.white.difference[y, x], np.float64)
+        return np.asarray(self.white.difference.reshape(-1, 3).take(y * columns + x, axis=0), np.float64)
 
     def strength(self, points: Floats) -> Floats:
         """Length (N,) of the whitened difference from the table at points (N, 2), px."""

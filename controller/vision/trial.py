@@ -106,10 +106,12 @@ def _judged(
     ]  # fmt: skip
     batch = batch_of([h.family for _, h, _ in shown], [r.q for _, _, r in shown], [h.region for _, h, _ in shown], 1.0)
     open_ = _open_chunks(scene, batch)
+    found = open_ & np.array([r.seen for _, _, r in shown], bool).reshape(open_.shape)
+    shares = (found.sum(axis=1) / np.maximum(open_.sum(axis=1), 1)).tolist()
     kept = [
-        (*item, float(item[2].seen[own].mean()), covered, outline)
-        for item, own, covered, outline in zip(
-            shown, open_, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
+        (*item, share, covered, outline)
+        for item, share, covered, outline in zip(
+            shown, shares, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
         )
         if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
     ]
@@ -205,7 +207,8 @@ def settled(judged: Sequence[Judged], scene: Scene) -> Settled:
         corners = np.array([item.box for item in done])
         size[1:] = (corners[:, 2:] - corners[:, :2]) / scene.factor
         points = (np.concatenate([item.outline for item in done]) - (scene.factor - 1) / 2.0) / scene.factor
-        ends = np.cumsum([len(item.outline) for item in done])[:-1]
-        for number, outline in enumerate(np.split(np.rint(points).astype(np.int32), ends), start=1):
-            cv2.fillConvexPoly(owner, outline, (number,))
+        places, end = np.rint(points).astype(np.int32), 0
+        for number, item in enumerate(done, start=1):
+            begin, end = end, end + len(item.outline)
+            cv2.fillConvexPoly(owner, places[begin:end], (number,))
     return Settled(owner, size)

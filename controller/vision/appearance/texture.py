@@ -175,10 +175,10 @@ def _shades(surface: Tiles) -> Floats32:
     # The weights do not matter to the axes.
     covariance = np.zeros((count, 3, 3), np.float32)
     for a, b in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)):
-        covariance[:, a, b] = np.einsum("ni,ni->n", values[a], values[b])
-    # Of a symmetric matrix only the lower half is looked at.
-    _, axes = np.linalg.eigh(covariance)
-    along = (axes[:, None, :, 2] @ values.transpose(1, 0, 2))[:, 0]
+        covariance[:, a, b] = covariance[:, b, a] = np.einsum("ni,ni->n", values[a], values[b])
+    # The axis of the largest spread comes first.
+    axes = np.array([cv2.eigen(own)[2][0] for own in covariance])
+    along = (axes[:, None] @ values.transpose(1, 0, 2))[:, 0]
     # `along` is 0 outside the material, and the mean was taken off: only the normal matrix needs the weights.
     normal = (keep @ _PLANE_PRODUCTS.T).reshape(count, 3, 3) + 1e-3 * np.eye(3, dtype=np.float32)
     plane = np.linalg.solve(normal, (along @ _PLANE.T)[:, :, None])[:, :, 0].astype(np.float32)
