@@ -98,12 +98,13 @@ class Batch:
 
     def geometry(self) -> tuple[Floats, Floats]:
         """Outward normals (K, CHUNKS, 2) and distances from the centre (K, CHUNKS) of every chunk's side."""
-        rows = np.arange(len(self.q))[:, None]
-        turn = _BASE[self.kind] + self.q[rows, _TURN_OF[self.kind]]
+        own = np.arange(len(self.q))[:, None] * PARAMETERS
+        turn = _BASE.take(self.kind, axis=0)
+        turn += self.q.take(own + _TURN_OF.take(self.kind, axis=0))
         normals = np.empty((*turn.shape, 2))
         np.cos(turn, out=normals[..., 0])
         np.sin(turn, out=normals[..., 1])
-        return normals, self.q[rows, _SIZE_OF[self.kind]]
+        return normals, self.q.take(own + _SIZE_OF.take(self.kind, axis=0))
 
 
 def batch_of(families: Sequence[Family], qs: Sequence[Floats], index: Sequence[int], blur: float) -> Batch:

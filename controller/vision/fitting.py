@@ -215,10 +215,12 @@ def _triangles(corners: Floats) -> Floats:
     normal = np.stack([side[..., 1], -side[..., 0]], axis=2)
     normal /= np.maximum(np.hypot(normal[..., 0], normal[..., 1]), 1e-9)[..., None]
     reach = np.vecdot(normal, corners - center[:, None])
-    turn = np.arctan2(*np.moveaxis(np.where(reach[..., None] < 0.0, -normal, normal), 2, 0)[::-1])
+    outwards = np.where(reach[..., None] < 0.0, -normal, normal)
+    turn = np.arctan2(outwards[..., 1], outwards[..., 0])
     order = np.argsort(np.mod(turn, 2.0 * math.pi), axis=1)
-    turn = np.take_along_axis(turn, order, axis=1) - TRIANGLE.normals
-    return np.concatenate([center, np.take_along_axis(np.abs(reach), order, axis=1), turn], axis=1)
+    own = np.arange(len(order))[:, None]
+    turn = turn[own, order] - TRIANGLE.normals
+    return np.concatenate([center, np.abs(reach)[own, order], turn], axis=1)
 
 
 def _fit(kind: Rows, q: Floats, edges: Edges, factor: int, steps: Sequence[int]) -> Floats:

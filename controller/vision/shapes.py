@@ -58,6 +58,8 @@ CIRCLE = Family(Shape.CIRCLE, np.empty(0), np.empty(0, np.intp), np.empty(0, np.
 HEXAGON = _polygon(Shape.HEXAGON, 6, [0] * 6, [0] * 6)
 RECTANGLE = _polygon(Shape.RECTANGLE, 4, [0, 1, 0, 1], [0] * 4)
 TRIANGLE = _polygon(Shape.TRIANGLE, 3, [0, 1, 2], [0, 1, 2], moves=False)
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""Of each side of a triangle the one after it, and the one before."""
 
 
 def area(family: Family, q: Floats) -> Floats:
@@ -70,7 +72,7 @@ def area(family: Family, q: Floats) -> Floats:
         return np.asarray(4.0 * q[:, 2] * q[:, 3])
     # Three lines at distances h from a point, with angles g between their normals: (h . sin g)^2 / (2 product sin g).
     turns = q[:, 5:] + TRIANGLE.normals
-    opposite = np.sin(turns[:, [2, 0, 1]] - turns[:, [1, 2, 0]])
+    opposite = np.sin(turns.take(_LAST, axis=1) - turns.take(_NEXT, axis=1))
     product = 2.0 * opposite[:, 0] * opposite[:, 1] * opposite[:, 2]
     product = np.where(np.abs(product) < 1e-9, 1e-9, product)
     return np.asarray(np.abs(np.vecdot(q[:, 2:5], opposite) ** 2 / product))
