@@ -16,6 +16,7 @@ from controller.calibration.looks import visit
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.domain import Array
+from controller.errors import CalibrationPoorFit
 from controller.ports import Arm, Camera, Clock
 
 #: Time a pose is given to come to rest, s.
@@ -54,7 +55,8 @@ def calibrate_arm(
         table: Of the camera.
         T_base_table: ndarray of shape (4, 4), where the table lies by ruler.
         marker: What is on the gripper.
-        touch: Pushes a part with the arm as the marker has shown it; None: the marker alone counts.
+        touch: Pushes a part with the arm as the marker has shown it, once more where that does not fit; None: the
+            marker alone counts.
         poses: How many poses to show.
         clearance: Least height of jaws and plate above the table, mm.
         seed: Of the choice of poses.
@@ -62,7 +64,7 @@ def calibrate_arm(
 
     Raises:
         Unreachable: Hardly any pose shows the marker.
-        CalibrationPoorFit: The marker was not seen often enough, or the fit is bad.
+        CalibrationPoorFit: The marker was not seen often enough, or the fit is bad, of the touches twice.
         ArmError, CameraError: A device failed.
     """
     view = MarkerView(arm.description, marker or ArmMarker(), lens.camera, table.T_table_camera, T_base_table)
@@ -75,5 +77,11 @@ def calibrate_arm(
         if found is not None:
             seen.append(Observation(np.asarray(arm.state().positions), found))
     made = fit_arm(view, seen, lens.calibration_id, table.calibration_id)
-    touches = touch(made) if touch is not None else ()
-    return fit_arm(view, seen, lens.calibration_id, table.calibration_id, touches) if touches else made
+    if touch is None or not (touches := touch(made)):
+        return made
+    try:
+        return fit_arm(view, seen, lens.calibration_id, table.calibration_id, touches)
+    except CalibrationPoorFit as error:
+        # The marker alone has passed. A part that slipped once off the jaws lies elsewhere and comes to rest anew.
+        progress(f"{error.cause}: once more")
+        return fit_arm(view, seen, lens.calibration_id, table.calibration_id, touch(made) or touches)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -138,18 +139,22 @@ class Chooser:
         """
         outline = self._rig.config.work_area_outline(self._rig.calibration.T_base_table)
         widest = self._rig.arm.description.gripper.opening[1]
-        for thing in self.blocked:
-            if thing.size[1] > widest:
-                continue  # no push makes it fit between the jaws; it may not even be a thing
-            target = self._book.choose(thing, self._rig.clock.now())
+        # What no push makes fit between the jaws may not even be a thing.
+        fitting = [thing for thing in self.blocked if thing.size[1] <= widest]
+        targets: dict[int, Target] = {}
+        # What is foreseen to free any of them comes before what only may free the first.
+        for unsure, (index, thing) in itertools.product((False, True), enumerate(fitting)):
+            target = targets.get(index) or self._book.choose(thing, self._rig.clock.now())
+            targets[index] = target
             if target.nudged_among != self._concluded:
                 target.nudges, target.nudged_among = 0, self._concluded
             if target.nudges >= NUDGES:
                 continue
+            # What loosens a heap for one part must not undo what was tried for another.
+            tried = [push for each in self._book.open for push in each.pushed] if unsure else target.pushed
+            others = self._apart_from(thing)
             try:
-                plan = planner.plan_nudge(
-                    thing, self._apart_from(thing), outline, start, climb=climb, tried=target.pushed
-                )
+                plan = planner.plan_nudge(thing, others, outline, start, climb=climb, tried=tried, unsure=unsure)
             except PlanError:
                 continue
             self._charge()

@@ -36,7 +36,9 @@ _LEAST_TURN = math.radians(15.0)  # less is not worth a push of its own
 _COST_NEIGHBOUR, _COST_NARROW, _COST_UNSURE, _COST_BLOCKED = 10.0, 8.0, 30.0, 40.0
 _SAME_PLACE, _SAME_WAY = 3.0, 0.9  # mm; cosine: what is pushed so again has not given way
 _BACK = 12.0  # mm about where a part lay before it was pushed: it is not pushed there again
-_MOST = 6  # pushes handed over: when none of them can be planned, the next are no better
+_BORDER_ROOM = 45.0  # mm, half a part and the gripper: nothing is pushed back from nearer to the rim of the reach
+_COST_RIM = 2.0  # for each mm of that: what has none is left in the end
+_MOST = 12  # pushes handed over: near the rim of the reach hardly any other can be planned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +78,10 @@ def pushes(
     gripper: Gripper,
     tangent: Callable[[Point], float] | None,
     tried: Sequence[tuple[Point, Point]] = (),
+    *,
+    unsure: bool = False,
 ) -> list[Push]:
-    """Pushes after which the target should have a free grasp, best first.
+    """Pushes after which the target should have a free grasp, or may have one, best first.
 
     Args:
         target: What cannot be taken.
@@ -87,17 +91,23 @@ def pushes(
         gripper: The gripper.
         tangent: Closing direction of an arm without wrist roll at a point of `table`, rad; None with a roll.
         tried: Earlier pushes that have not freed it: where what was pushed lay, and (dx, dy) by which it was, mm.
+        unsure: Instead of those that are foreseen to free it, those that would if the part went straight; else those
+            that loosen the heap.
 
     Raises:
         NoClearGrasp: No push, or no other, would free it.
     """
     scene = _Scene(target, tuple(others), tuple(bins), np.ascontiguousarray(area, np.float32), gripper, tangent)
-    found = [push for moved in (target, *scene.culprits()) for push in scene.freeing(moved)]
-    if not found and scene.lies_askew:
-        found = list(scene.turnings())
-    # Where more than one neighbour stands in the way no single push is enough: one that loosens the heap is a start.
-    found = found or [push for moved in (target, *scene.neighbours()) for push in scene.shoves(moved)]
-    found = [push for push in found if not any(_again(push, *earlier) for earlier in tried)]
+
+    def fresh(found: Iterable[Push]) -> list[Push]:
+        return [push for push in found if not any(_again(push, *earlier) for earlier in tried)]
+
+    found = fresh(push for moved in (target, *scene.culprits()) for push in scene.freeing(moved, straight=unsure))
+    if not found and unsure:
+        # Where more than one neighbour stands in the way no push is enough: one that loosens the heap is a start.
+        found = fresh(push for moved in (target, *scene.neighbours()) for push in scene.shoves(moved))
+    elif not found and scene.lies_askew:
+        found = fresh(scene.turnings())
     if not found:
         x, y = target.center
         raise NoClearGrasp(
@@ -135,10 +145,10 @@ class _Scene:
         """The jaws could not take the target with nothing around it."""
         return not self._can_be_taken(self.target, np.empty((0, 2)))
 
-    def freeing(self, moved: LocatedObject) -> Iterable[Push]:
+    def freeing(self, moved: LocatedObject, *, straight: bool = False) -> Iterable[Push]:
         """Of each push of a part the shortest after which the target can be taken for sure, else perhaps."""
         rest = self._outlines_without(moved)
-        for ways in self._slides(moved):
+        for ways in self._slides(moved, straight=straight):
             perhaps = None
             for push in ways:
                 freed = [self._freed(moved, end, rest) for end in push.ends]
@@ -174,13 +184,19 @@ class _Scene:
             taken = [way for way in ways if way @ ahead > _TAKES_ALONG * np.hypot(*way)]
             ends = [center + way + SHOVE * ahead for way in (np.zeros(2), *taken)]
             if into <= _INTO and all(self._inside(end) for end in ends):
-                cost = push.cost + _COST_INTO * into + (0.0 if moved is self.target else _COST_NEIGHBOUR)
+                along = self._pushed_along(moved, ahead)
+                lost = sum(self._room_lost(place, place + SHOVE * ahead) for place in along)
+                cost = push.cost + _COST_INTO * into + _COST_RIM * lost
+                cost += 0.0 if moved is self.target else _COST_NEIGHBOUR
                 yield push.going(SHOVE, cost, (pushing.shifted(moved, (*(SHOVE * ahead), 0.0)),))
 
     # --- one push -------------------------------------------------------------------------------------------
 
-    def _slides(self, moved: LocatedObject) -> Iterable[list[Push]]:
-        """Every free push of a part, with each travel in turn until it meets something or leaves the area."""
+    def _slides(self, moved: LocatedObject, *, straight: bool = False) -> Iterable[list[Push]]:
+        """Every free push of a part, with each travel in turn until it meets something or leaves the area.
+
+        The part slides and turns as foreseen, or goes `straight` with the gripper.
+        """
         blocked = self._solid_about(moved)
         free = [push for push in self._landings(moved, blocked) if push.travel >= TRAVELS[0]]
         if not free:
@@ -194,7 +210,11 @@ class _Scene:
             self._turns(push.direction, first, first + TRAVELS[-1] * ahead)
             for push, first, ahead in zip(free, starts, aheads, strict=True)
         ])  # fmt: skip
-        poses = slide(hull, self.gripper, starts - center, aheads, turns, TRAVELS)
+        if straight:
+            along = aheads[:, None] * np.array(TRAVELS)[:, None]
+            poses = np.concatenate([along, np.zeros((*along.shape[:2], 1))], axis=2)[None]
+        else:
+            poses = slide(hull, self.gripper, starts - center, aheads, turns, TRAVELS)
         away = blocked - center
         near = away[np.hypot(*away.T) < float(np.hypot(*hull.T).max()) + TRAVELS[-1] + pushing.BUMP][::2]
         clear = np.logical_and.reduce([pushing.keeps_clear(hull, pose, near) for pose in poses])
@@ -306,6 +326,22 @@ class _Scene:
     def _inside(self, place: Array | Point) -> bool:
         return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
 
+    def _pushed_along(self, moved: LocatedObject, ahead: Array) -> list[Array]:
+        """Where what may go along with a part that is pushed lies now, itself first: neighbours, and theirs."""
+        waiting = [np.array(thing.center) for thing in (self.target, *self.others) if thing is not moved]
+        found = [np.array(moved.center)]
+        for center in found:
+            ways = [(place, place - center) for place in waiting]
+            met = [place for place, way in ways if _TAKES_ALONG * np.hypot(*way) < way @ ahead < _NEIGHBOURHOOD]
+            waiting = [place for place in waiting if not any(place is other for other in met)]
+            found += met
+        return found
+
+    def _room_lost(self, start: Array, end: Array) -> float:
+        """How much of the room that the gripper needs between a part and the border a push takes, mm."""
+        before, after = (cv2.pointPolygonTest(self.border, (float(x), float(y)), True) for x, y in (start, end))
+        return max(min(before, _BORDER_ROOM) - after, 0.0)
+
     def _outlines_without(self, moved: LocatedObject) -> Array:
         """Points along all outlines near the target but its own and that of `moved`."""
         rest = [thing for thing in self.others if thing is not moved]
@@ -315,11 +351,7 @@ class _Scene:
     def _solid_about(self, moved: LocatedObject) -> Array:
         """Points on and inside everything near a part but itself: no box may come down inside an outline either."""
         rest = [thing for thing in (self.target, *self.others) if thing is not moved]
-        points = [grasps.obstacles(rest, self.bins, moved.center, 2.0 * max(TRAVELS) + self.gripper.opening[1])]
-        for thing in rest:
-            center = np.array(thing.center)
-            points += [center + share * (thing.footprint - center) for share in (0.75, 0.5, 0.25)]
-        return np.concatenate(points)
+        return grasps.obstacles(rest, self.bins, moved.center, 2.0 * max(TRAVELS) + self.gripper.opening[1])
 
 
 def _again(push: Push, lay: Point, by: Point) -> bool:

@@ -180,8 +180,9 @@ class Planner:
         *,
         climb: float = 0.0,
         tried: Sequence[tuple[Point, Point]] = (),
+        unsure: bool = False,
     ) -> NudgePlan:
-        """A push of a part or its neighbour after which the part can be taken, approved as a whole.
+        """A push of a part or its neighbour after which the part should be free to take, approved as a whole.
 
         Args:
             target: A part that `plan_pick` found no room for.
@@ -190,6 +191,7 @@ class Planner:
             start: ndarray of shape (J,): measured joint angles, rad.
             climb: mm that the way begins straight up, because the arm stands deep in a bin.
             tried: Earlier pushes for this part, which have not freed it: where what was pushed lay, and by how much.
+            unsure: A push that only may free it, for where none is foreseen to.
 
         Raises:
             NoClearGrasp: No push, or no other, would free it.
@@ -199,7 +201,7 @@ class Planner:
         q0 = self._moves.start(start)
         tangent = None if self.turns_jaws else self._postures.tangent
         failure: PlanError | None = None
-        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried):
+        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried, unsure=unsure):
             try:
                 return self._nudge(target, push, others, q0, climb)
             except (Unreachable, LimitViolation) as error:

@@ -47,18 +47,13 @@ def finger_edges(gripper: Gripper, direction: float, ahead: Array, left: Array) 
     Between fingers closed as far as they go there still is their narrowest opening, into which a corner fits.
     """
     thickness, across = gripper.jaw_size
-    half = gripper.opening[0] / 2.0
-    axis = np.array([math.cos(direction), math.sin(direction)])
-    normal = np.array([-axis[1], axis[0]])
-    edges = []
-    for side in (1.0, -1.0):
-        corners = [
-            side * (half + out * thickness) * axis + beside * across / 2.0 * normal
-            for out, beside in ((0.0, -1.0), (1.0, -1.0), (1.0, 1.0), (0.0, 1.0))
-        ]
-        placed = np.array(corners) @ np.column_stack([ahead, left])
-        edges.append(np.stack([placed, np.roll(placed, -1, axis=0)], axis=1))
-    return np.concatenate(edges)
+    inner = gripper.opening[0] / 2.0
+    outer, half = inner + thickness, across / 2.0
+    finger = np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]])
+    c, s = math.cos(direction), math.sin(direction)
+    turn = np.array([[c, s], [-s, c]]) @ np.column_stack([ahead, left])
+    placed = np.stack([finger, finger * [-1.0, 1.0]]) @ turn
+    return np.stack([placed, placed[:, [1, 2, 3, 0]]], axis=2).reshape(8, 2, 2)
 
 
 def contact(fingers: Array, along: Array, beside: Array) -> float:

@@ -11,6 +11,7 @@ A touch is any contact of the arm with what it does not mean to take or to push;
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections import Counter
 
@@ -115,12 +116,12 @@ class Table:
             arm.follow(self.planner.home(arm.state().positions))
         self._count(before, index)
 
-    def nudge(self, index: int, things: dict[int, LocatedObject]) -> bool:
-        """Push for one part; False when there is no push."""
+    def nudge(self, index: int, things: dict[int, LocatedObject], unsure: bool) -> bool:
+        """Push for one part, surely or not; False when there is no push."""
         others = [other for k, other in things.items() if k != index]
         start = self.arm.state().positions
         try:
-            plan: NudgePlan = self.planner.plan_nudge(things[index], others, self.area, start)
+            plan: NudgePlan = self.planner.plan_nudge(things[index], others, self.area, start, unsure=unsure)
         except PlanError:
             return False
         self.tries[index] += 1
@@ -150,7 +151,8 @@ class Table:
                 if self.found["picks"] > 400:
                     return
                 continue
-            if not any(self.tries[k] < MOST_NUDGES and self.nudge(k, things) for k in stuck):
+            ways = itertools.product((False, True), stuck)
+            if not any(self.tries[k] < MOST_NUDGES and self.nudge(k, things, unsure) for unsure, k in ways):
                 return
 
 

@@ -11,6 +11,7 @@ The planner's own gate judges every move. `python -m tests.benchmarks.crowded --
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -86,12 +87,12 @@ class Table:
 
     def nudge(self, tries: dict[int, int]) -> bool:
         """Push once for the first part that a push can free; False when there is none."""
-        for thing in self.left:
+        for unsure, thing in itertools.product((False, True), self.left):
             if tries.get(id(thing.detection), 0) >= MOST_NUDGES or self.can_be_taken(thing) is not False:
                 continue
             others = [other for other in self.left if other is not thing]
             try:
-                plan = self._planner.plan_nudge(thing, others, AREA, self._ready)
+                plan = self._planner.plan_nudge(thing, others, AREA, self._ready, unsure=unsure)
             except PlanError:
                 continue
             tries[id(thing.detection)] = tries.get(id(thing.detection), 0) + 1

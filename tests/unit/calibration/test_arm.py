@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from controller.calibration.arm import ArmCalibration
 from controller.calibration.arm_fit import Observation, fit_arm
 from controller.calibration.arm_model import MarkerView
 from controller.calibration.arm_poses import choose, clear_line, lowest
 from controller.calibration.arm_procedure import calibrate_arm
+from controller.calibration.arm_touch import Touch
 from controller.calibration.camera import CameraCalibration
 from controller.calibration.marker import ArmMarker
 from controller.calibration.table import TableCalibration
 from controller.config.arm import load_arm
+from controller.domain import Frame
 from controller.errors import CalibrationPoorFit, Unreachable
 from controller.geometry import invert, pose, pose_from_rvec, transform
 from controller.motion import kinematics
@@ -184,3 +189,34 @@ def test_the_procedure_looks_and_finds() -> None:
     offsets = np.array([found.joint_offsets[name] for name in ARM.joint_names])
     # Corners of a painted marker of 50 px are good to 0.1 px, 0.05 mm; no play, so only they remain.
     assert np.percentile(touch(m, found.T_base_table, offsets), 95) < 0.6
+
+
+def test_a_part_that_slipped_off_the_jaws_is_touched_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    m = metal(5, play=0.0)
+    cell: Any = Cell(m)
+    # The marker's corners are told, not painted and found: that is another test's matter.
+    cell.capture = lambda after: Frame(0, after, np.zeros((1, 1, 3), np.uint8))
+    monkeypatch.setattr(ArmMarker, "find", lambda *_: m.corners(cell.q))
+    lens = CameraCalibration("camera-x", LENS, 0.1, 20)
+    table = TableCalibration("table-x", "camera-x", m.T_table_camera, 0.1, 0.1, 10)
+    places = ((1.0, 170.0), (-1.0, 215.0)) * 2
+    good = [m.push(kinematics.inverse(ARM, [radius, 5.0, 24.0])[0], side, 21.5, 24.0) for side, radius in places]
+    x, y = good[-1].center
+    slipped = [*good[:-1], replace(good[-1], center=(x + 6.0, y + 6.0))]
+    asked: list[Sequence[Touch]] = []
+
+    def calibrate(*rounds: Sequence[Touch]) -> ArmCalibration:
+        left = iter(rounds)
+
+        def push(known: ArmCalibration) -> Sequence[Touch]:
+            asked.append(next(left))
+            return asked[-1]
+
+        return calibrate_arm(
+            cell, cell, cell, cell.move_to, lens=lens, table=table, T_base_table=m.nominal, touch=push, poses=10
+        )
+
+    assert calibrate(slipped, good).touches == len(good)
+    assert asked == [slipped, good]
+    with pytest.raises(CalibrationPoorFit, match="not where this arm can have pushed it"):
+        calibrate(slipped, slipped)

@@ -68,9 +68,9 @@ def test_a_part_beside_another_is_freed_by_a_push() -> None:
         planner.plan_pick(first, rest, planner.bins[0], planner.bins[0].center, ready)
 
 
-@given(seed=st.integers(0, 100_000), arm=st.sampled_from([RX150.name, OMX.name]))
+@given(seed=st.integers(0, 100_000), arm=st.sampled_from([RX150.name, OMX.name]), unsure=st.booleans())
 @settings(max_examples=10, deadline=None)
-def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, arm: str) -> None:
+def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, arm: str, unsure: bool) -> None:
     rng = np.random.default_rng(seed)
     planner = PLANNERS[arm]
     things: list[LocatedObject] = []
@@ -83,7 +83,7 @@ def test_a_push_is_straight_low_slow_and_touches_only_what_it_moves(seed: int, a
     target, others = things[0], things[1:]
     start = np.array(planner.arm.ready)
     try:
-        plan = planner.plan_nudge(target, others, AREA, start)
+        plan = planner.plan_nudge(target, others, AREA, start, unsure=unsure)
     except PlanError:
         return
     where = start
@@ -187,7 +187,23 @@ def test_a_part_walled_in_has_no_push() -> None:
     x, y = target.center
     ring = [(x + 41.0 * i, y + 41.0 * j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]
     around = [part(Shape.SQUARE, 36.0, place) for place in ring]
-    with pytest.raises(NoClearGrasp, match="no push"):
-        planner.plan_nudge(target, around, AREA, np.array(RX150.ready))
+    for unsure in (False, True):
+        with pytest.raises(NoClearGrasp, match="no push"):
+            planner.plan_nudge(target, around, AREA, np.array(RX150.ready), unsure=unsure)
 
 
+def test_a_heap_is_not_loosened_towards_the_rim_of_the_reach() -> None:
+    """Nothing pushes back what lies at the rim."""
+    lying = [
+        (Shape.HEXAGON, 43.0, 36.0, 49.0, 6.0), (Shape.RECTANGLE, 43.0, 35.0, -4.0, 177.0),
+        (Shape.CIRCLE, 36.0, 26.0, -54.0, 0.0), (Shape.SQUARE, 36.0, 24.0, -94.0, 87.0),
+        (Shape.TRIANGLE, 43.0, -14.0, 38.0, 87.0), (Shape.HEXAGON, 50.0, -24.0, -56.0, 25.0),
+        (Shape.TRIANGLE, 36.0, -31.0, -5.0, 67.0),
+    ]  # fmt: skip
+    heap = [part(shape, width, (x, y), math.radians(turned)) for shape, width, x, y, turned in lying]
+    base = T_TABLE_BASE[:2, 3]
+    tangent = PLANNERS[OMX.name]._postures.tangent
+    for target in heap:
+        others = [other for other in heap if other is not target]
+        best = nudges.pushes(target, others, (), AREA, OMX.gripper, tangent, unsure=True)[0]
+        assert math.dist(best.ends[0].center, base) < math.dist(best.moved.center, base)
