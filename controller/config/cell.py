@@ -200,8 +200,10 @@ class CycleSection(StrictModel):
     """How many parts are picked from one picture before the next is taken."""
     resume_when_clear_s: float = Field(0.0, ge=0.0, le=600.0)
     """After a hand was over the table: go on when the view has been clear so long; 0: when an operator says so."""
-    vision_budget_s: float = Field(0.05, ge=0.0, le=5.0)
+    vision_budget_s: float = Field(0.15, ge=0.0, le=5.0)
+    """Simulated time that finding and locating the parts of a picture is charged at; real runs take what they take."""
     planning_budget_s: float = Field(0.02, ge=0.0, le=5.0)
+    """Simulated time that planning a pick is charged at."""
 
 
 class LedgerSection(StrictModel):
