@@ -151,7 +151,8 @@ class Scenery:
         The first sound pictures teach where the scenery has a grain to be looked for.
         """
         picture = _reduced(image)
-        brightness = float(np.median(picture[self._rows, self._columns]) / max(float(np.median(self._wanted)), 1.0))
+        # Pixel by pixel: what hides a part of the scenery would shift the median of a picture with a gradient.
+        brightness = float(np.median(picture[self._rows, self._columns] / np.maximum(self._wanted, 1.0)))
         levelled = picture / max(brightness, 1e-3)
         # Explanations: nothing has moved and some of the scene is another one, or all has moved a little or much.
         nowhere = np.zeros(4)

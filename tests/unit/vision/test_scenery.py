@@ -56,6 +56,16 @@ def test_other_parts_on_the_table_change_nothing(scenery: Scenery) -> None:
         assert trouble(change) is None
 
 
+def test_an_arm_over_a_table_lit_from_one_side_changes_nothing() -> None:
+    light = np.linspace(0.7, 1.3, SIZE[0])[None, :, None]
+    empty, armed = ((scene(seed) * light).clip(0, 255).astype(np.uint8) for seed in (1, 2))
+    armed[250:330, 470:] = 20  # some of what is still
+    change = Scenery(empty, still()).compare(armed)
+    assert change.brightness == pytest.approx(1.0, abs=0.005)
+    assert change.displacement < 0.4
+    assert trouble(change) is None
+
+
 @pytest.mark.parametrize("shift", [(0.5, 0.0), (2.0, -1.0), (-5.0, 4.0), (9.0, 0.0)])
 def test_a_shift_of_the_camera_is_measured(scenery: Scenery, shift: tuple[float, float]) -> None:
     change = scenery.compare(moved(scene(2), *shift))
