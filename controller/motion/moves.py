@@ -125,8 +125,8 @@ class Moves:
             else ways.climbing(self.arm, clear, q0, down.start, climb)
         )
         for legs, corners in found:
-            trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
             try:
+                trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
                 self.gate.check(trajectory, q0, opening=opening)
             except LimitViolation as error:
                 failure = failure or error
