@@ -32,12 +32,21 @@ def status(at: At = None, as_json: AsJson = False) -> None:
     _show(_client(at).ask("status"), as_json)
 
 
-def start(at: At = None, as_json: AsJson = False) -> None:
+def start(
+    view_clear: Annotated[
+        bool,
+        typer.Option(
+            "--view-clear", help="You have looked: what reaches over the table now, a cable say, is to stay there."
+        ),
+    ] = False,
+    at: At = None,
+    as_json: AsJson = False,
+) -> None:
     """Start sorting, from STOPPED. The arm moves.
 
     Example: controller start
     """
-    _show(_client(at).ask("start"), as_json)
+    _show(_client(at).ask("start", **({"view_clear": True} if view_clear else {})), as_json)
 
 
 def pause(at: At = None, as_json: AsJson = False) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from controller.domain import CellCalibration, Frame
 from controller.errors import Intruder
 from controller.geometry import transform
 from controller.localization.locate import Located
-from controller.vision.rim import Rim
+from controller.vision.rim import Rim, coarse
 
 _ASIDE = math.radians(15.0)
 """Beyond the work area by more than this to either side stand bins, and the arm over them."""
@@ -46,33 +47,71 @@ def strip_mask(config: CellConfig, calibration: CellCalibration, size: tuple[int
     return np.asarray(mask, np.uint8)
 
 
+class ClearView:
+    """How the table looks with nothing over it: known from one start to the next, so that a hand is seen at once.
+
+    Args:
+        image: ndarray of shape (h, w, 3), dtype float32, see `vision.rim.coarse`; None: nobody knows yet.
+        keep: Told of every new one.
+
+    Attributes:
+        image: The newest one.
+    """
+
+    def __init__(
+        self, image: NDArray[np.float32] | None = None, keep: Callable[[NDArray[np.float32]], None] = lambda image: None
+    ) -> None:
+        self.image = image
+        self._keep = keep
+
+    def learn(self, image: NDArray[np.float32]) -> None:
+        """Nothing is over the table in this picture."""
+        self.image = image
+        self._keep(image)
+
+    def forget(self) -> None:
+        """Somebody has looked: what the next frame shows is how it looks with nothing over it."""
+        self.image = None
+
+
 class Guard:
     """Tells when a hand or something else that is large and unknown is over the table.
 
     Args:
         config: The cell.
         calibration: Of its camera.
+        clear_view: How the table looked before this start; learns how it looks now.
         widest: What the jaws can take at most, mm.
     """
 
-    def __init__(self, config: CellConfig, calibration: CellCalibration, widest: float) -> None:
+    def __init__(self, config: CellConfig, calibration: CellCalibration, clear_view: ClearView, widest: float) -> None:
         self._config = config
         self._calibration = calibration
+        self._clear_view = clear_view
         self._largest = _LARGE * widest
         self._rim: Rim | None = None
+        self._learnt = False
 
     def check_frame(self, frame: Frame) -> None:
-        """Look for whatever reaches over the table; the first frame is taken for how it looks when nothing does.
+        """Look for whatever reaches over the table.
+
+        The first frame with nothing over the table tells how its rim looks in today's light. Where no earlier start
+        has left a clear view to judge it by, that is the first frame.
 
         Raises:
-            Intruder: Something does.
+            Intruder: Something reaches over the table.
         """
+        small = coarse(frame.image)
         if self._rim is None:
             strip = strip_mask(self._config, self._calibration, frame.size)
             inside = region_mask(self._config, self._calibration, frame.size)
-            self._rim = Rim(frame.image, strip, inside)
-        elif self._rim.crossed(frame.image):
-            raise Intruder("something reaches over the table", "clear the view, then controller resume")
+            known = self._clear_view.image
+            self._rim = Rim(known if known is not None and known.shape == small.shape else small, strip, inside)
+        self._check(small)
+        if not self._learnt:
+            self._learnt = True
+            self._rim.learn(small)
+            self._clear_view.learn(small)
 
     def check_glance(self, glance: Frame) -> None:
         """Look at a glance as at a frame; nothing is known before the first frame.
@@ -80,8 +119,12 @@ class Guard:
         Raises:
             Intruder: Something reaches over the table.
         """
-        if self._rim is not None and self._rim.crossed_in_glance(glance.image):
-            raise Intruder("something reaches over the table", "clear the view, then controller resume")
+        self._check(glance.image)
+
+    def _check(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> None:
+        if self._rim is not None and self._rim.crossed(small):
+            remedy = "clear the view, then controller resume; it is to stay there: stop, then start --view-clear"
+            raise Intruder("something reaches over the table", remedy)
 
     def check_things(self, found: Located) -> None:
         """Look for things that no part can be.

@@ -50,7 +50,7 @@ class Looker:
         self._plane = rig.calibration.plane(rig.config.shape_plane_mm)
         self._region: NDArray[np.uint8] | None = None
         self._backdrop: Backdrop | None = None
-        self.guard = Guard(rig.config, rig.calibration, rig.arm.description.gripper.opening[1])
+        self.guard = Guard(rig.config, rig.calibration, rig.clear_view, rig.arm.description.gripper.opening[1])
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="look-ahead")
         self._ahead: _Ahead | None = None
 

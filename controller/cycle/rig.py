@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from controller.config.cell import CellConfig
+from controller.cycle.guard import ClearView
 from controller.cycle.machine import State
 from controller.domain import CellCalibration, Detection, Frame, LocatedObject, NudgePlan, Outcome, PickPlan
 from controller.errors import SorterError
@@ -84,6 +85,7 @@ class Rig:
 
     Attributes:
         concerns: What the devices say is not in order yet no reason to hold: causes by code of the fault catalogue.
+        clear_view: How the table looks with nothing over it, as far as an earlier start has seen it.
         pick_proof: Off, the jaws are believed to hold what they were sent for: only to see what the proof is worth.
     """
 
@@ -99,6 +101,7 @@ class Rig:
     confirm: Callable[[PickPlan], bool] = field(default=lambda plan: True)
     classes: Taught | None = None
     concerns: Callable[[], Mapping[str, str]] = field(default=dict)
+    clear_view: ClearView = field(default_factory=ClearView)
     pick_proof: bool = True
 
     def part_height(self, detection: Detection) -> float:

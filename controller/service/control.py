@@ -10,7 +10,7 @@ A Unix stream socket, `control.sock`. A request is one line, a JSON object; so i
 |---|---|---|
 | `status` | | `Status.to_json`: state (PackML), what is going on, counts, alarms that want attention |
 | `alarms` | | every alarm that is kept, oldest first |
-| `start` | sorts, from STOPPED | the status |
+| `start` (`view_clear`: true: nothing is over the table, whatever it looks like) | sorts, from STOPPED | the status |
 | `pause`, `resume` | holds on the path of the move, torque on (HOLDING, then HELD); goes on from there | the status |
 | `stop` | slows down along the path, parks, torque off | null: it is under way; ask for the status |
 | `reset` | clears a latched fault; nothing moves | the status |

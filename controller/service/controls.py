@@ -87,8 +87,12 @@ class Controls(Protocol):
         """Every alarm that is kept, oldest first."""
         ...
 
-    def start(self) -> None:
-        """Sort, from STOPPED. Moves metal."""
+    def start(self, *, view_clear: bool = False) -> None:
+        """Sort, from STOPPED. Moves metal.
+
+        Args:
+            view_clear: Somebody has looked: what reaches over the table now is to stay there.
+        """
         ...
 
     def pause(self) -> None:

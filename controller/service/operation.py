@@ -83,6 +83,7 @@ class Operation(Observer):
         facts: What does not change with the state; `reload` may give it a new value.
         reload: Reads the configuration again and says what has changed.
         emptied: Told that a bin, or (None) every bin, was emptied.
+        view_clear: Told that nothing is over the table, whatever the next frame shows.
         cleared: Told that a fault was reset, before anything follows from it.
         recover: Opens the devices again after a fault of theirs was reset; called in the waiting thread, moves
             nothing, may raise any SorterError. None: nothing can be opened again.
@@ -97,6 +98,7 @@ class Operation(Observer):
         reload: Callable[[], tuple[str, ...]],
         *,
         emptied: Callable[[str | None], None] = lambda name: None,
+        view_clear: Callable[[], None] = lambda: None,
         cleared: Callable[[], None] = lambda: None,
         recover: Callable[[], None] | None = None,
         say: Callable[[str], None] = lambda line: None,
@@ -107,6 +109,7 @@ class Operation(Observer):
         self.alarm_log = alarms or AlarmLog()
         self._reload = reload
         self._emptied = emptied
+        self._view_clear = view_clear
         self._cleared = cleared
         self._recover = recover
         self._recovery_due = False
@@ -214,8 +217,11 @@ class Operation(Observer):
         """Every alarm that is kept, oldest first."""
         return self.alarm_log.history()
 
-    def start(self) -> None:
+    def start(self, *, view_clear: bool = False) -> None:
         """Sort, from STOPPED.
+
+        Args:
+            view_clear: Somebody has looked: what reaches over the table now is to stay there.
 
         Raises:
             Refused: It is not ready, at work already, ending, or a fault is latched.
@@ -225,6 +231,8 @@ class Operation(Observer):
                 raise Refused(f"a fault is latched: {self._latched.cause}", "look at the cell, then controller reset")
             if self._state is not State.STOPPED or self._started or self._ended:
                 raise Refused(f"not possible in {self._packml}", "start from STOPPED")
+            if view_clear:
+                self._view_clear()
             self._started = True
             self._changed.notify_all()
 

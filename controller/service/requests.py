@@ -110,9 +110,13 @@ class Commands:
             "reload": lambda: list(controls.reload()),
             "pause": lambda: self._changed(controls.pause),
             "reset": lambda: self._changed(controls.reset),
-            "start": self._unless_stopped("start", controls.start),
             "resume": self._unless_stopped("resume", controls.resume),
         }
+        if command == "start":
+            view_clear = given.pop("view_clear", False)
+            if not isinstance(view_clear, bool):
+                raise BadRequest("bad_request", "view_clear is neither true nor false")
+            calls["start"] = self._unless_stopped("start", lambda: controls.start(view_clear=view_clear))
         if command == "acknowledge":
             number = given.pop("alarm", None)
             if isinstance(number, bool) or not isinstance(number, int | None):

@@ -1,6 +1,8 @@
-"""The still scenery of a cell: learnt from the first picture after a calibration, and kept with that calibration.
+"""What a real cell remembers of its pictures from one program to the next; kept with the calibration they go with.
 
-A camera that was bumped at night must be noticed in the morning: a real cell's reference outlives the program.
+The still scenery is learnt from the first picture after a calibration: a camera that was bumped at night must be
+noticed in the morning. The table's rim with nothing over it is learnt at every start, and judged by the start before:
+a hand that is there already in the first picture is no part of the cell.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from controller.calibration.store import load
 from controller.config.cell import CellConfig
+from controller.cycle.guard import ClearView
 from controller.cycle.view import still_mask
 from controller.domain import CellCalibration
 from controller.ports import Camera
@@ -65,6 +68,26 @@ def watch_landmarks(camera: Camera, folder: Path) -> None:
         camera.landmarks = Landmarks(places)
 
 
+def clear_view(calibration: CellCalibration, folder: Path | None) -> ClearView:
+    """How the table of a cell looked with nothing over it at its last start.
+
+    Args:
+        calibration: With which it works; another one knows nothing yet.
+        folder: Where it is kept; None: only as long as the program runs.
+    """
+    if folder is None:
+        return ClearView()
+    path = folder / f"clear-view-{calibration.calibration_id}.png"
+    kept = cv2.imread(str(path)) if path.is_file() else None
+
+    def keep(image: NDArray[np.float32]) -> None:
+        for old in set(folder.glob("clear-view-*.png")) - {path}:
+            old.unlink(missing_ok=True)
+        _save(path, np.asarray(np.rint(image), np.uint8))
+
+    return ClearView(None if kept is None else np.asarray(kept, np.float32), keep)
+
+
 def _save(path: Path, image: NDArray[np.uint8]) -> None:
     """Write a picture whole or not at all: half of one would be a reference too."""
     beside = path.with_suffix(".new")
@@ -75,4 +98,4 @@ def _save(path: Path, image: NDArray[np.uint8]) -> None:
             os.fsync(file.fileno())
         beside.replace(path)
     except OSError as error:
-        _log.warning("%s: %s: the scenery is learnt again at the next start", path, error.strerror or error)
+        _log.warning("%s: %s: it is learnt again at the next start", path, error.strerror or error)

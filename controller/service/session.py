@@ -41,7 +41,7 @@ from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
-from controller.service.scenery import watch_landmarks, watch_scenery
+from controller.service.scenery import clear_view, watch_landmarks, watch_scenery
 from controller.service.self_calibration import calibrate_cell, device_names
 from controller.service.standing_cell import Standing, StandingCell
 from controller.service.standing_service import Service
@@ -165,6 +165,7 @@ class Session:
                 confirm=self.options.confirm,
                 classes=taught,
                 concerns=devices.concerns,
+                clear_view=clear_view(calibration, folder if real else None),
                 pick_proof=self.options.pick_proof,
             )
             ledger.begin_run(

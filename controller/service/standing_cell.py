@@ -94,6 +94,7 @@ class StandingCell:
             rig.calibration.calibration_id,
             reload=self._reload,
             emptied=self._emptied,
+            view_clear=rig.clear_view.forget,
             cleared=standing.chronicle.cleared,
             recover=self._open_again,
         )

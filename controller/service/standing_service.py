@@ -54,12 +54,21 @@ class Service:
         *,
         reload: Callable[[], tuple[str, ...]],
         emptied: Callable[[str | None], None],
+        view_clear: Callable[[], None],
         cleared: Callable[[], None],
         recover: Callable[[], None],
     ) -> Operation:
         """What operators control; see `Operation`."""
         facts = CellFacts("real", config.name, config.digest, calibration_id)
-        return Operation(facts, reload, emptied=emptied, cleared=cleared, recover=recover, say=self.notifier.status)
+        return Operation(
+            facts,
+            reload,
+            emptied=emptied,
+            view_clear=view_clear,
+            cleared=cleared,
+            recover=recover,
+            say=self.notifier.status,
+        )
 
     def open_to_operators(self, operation: Operation, commanded: Callable[[str, int], None]) -> ControlServer:
         """The control socket, as a context manager; see `ControlServer` for `commanded`."""

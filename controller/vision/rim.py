@@ -1,7 +1,7 @@
 """Watches the strip between the work area and the edge of the picture: whatever reaches over the table crosses it.
 
 Parts lie inside the work area, so a hand cannot be told from them there; but a hand has an arm, and that comes from
-outside. The strip is compared with how it looked when the work began.
+outside. The strip is compared with how it looked when nothing reached over it.
 """
 
 from __future__ import annotations
@@ -21,30 +21,29 @@ _LEAST = 12  # pixels of the coarse picture: narrower than a finger is nothing
 
 
 class Rim:
-    """The strip, as it looked at first.
+    """The strip, as it looks with nothing over it.
 
     Args:
-        image: ndarray of shape (H, W, 3), dtype uint8, BGR: the first picture.
+        clear: ndarray of shape (h, w, 3), dtype float32, see `coarse`: a picture with nothing over the table.
         strip: ndarray of shape (H, W), dtype uint8: non-zero where nothing is supposed to change.
         inside: ndarray of shape (H, W), dtype uint8: non-zero in the work area with its margin.
     """
 
-    def __init__(self, image: NDArray[np.uint8], strip: NDArray[np.uint8], inside: NDArray[np.uint8]) -> None:
-        reference = _coarse(image)
-        size = reference.shape[1], reference.shape[0]
+    def __init__(self, clear: NDArray[np.float32], strip: NDArray[np.uint8], inside: NDArray[np.uint8]) -> None:
+        size = clear.shape[1], clear.shape[0]
         self._strip = np.flatnonzero(cv2.resize(strip, size, interpolation=cv2.INTER_AREA) == 255)
-        self._before = reference.reshape(-1, 3)[self._strip] + _OFFSET
+        self.learn(clear)
         around = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
         self._inner = cv2.dilate((cv2.resize(inside, size, interpolation=cv2.INTER_AREA) > 0).astype(np.uint8), around)
         self._outer = np.zeros(size[::-1], np.uint8)
         self._outer[:_REACH], self._outer[-_REACH:], self._outer[:, :_REACH], self._outer[:, -_REACH:] = 1, 1, 1, 1
 
-    def crossed(self, image: NDArray[np.uint8]) -> bool:
-        """Whether something reaches from the edge of a picture, (H, W, 3), into the work area."""
-        return self.crossed_in_glance(_coarse(image))
+    def learn(self, clear: NDArray[np.float32]) -> None:
+        """Compare with another picture with nothing over the table from now on, (h, w, 3)."""
+        self._before = clear.reshape(-1, 3)[self._strip] + _OFFSET
 
-    def crossed_in_glance(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
-        """The same of a picture that is averaged down already: arms are wide, and noise and grain average out."""
+    def crossed(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
+        """Whether something reaches from the edge of a picture, (h, w, 3), into the work area; see `coarse`."""
         ratio = (small.reshape(-1, 3)[self._strip] + _OFFSET) / self._before
         # The room's light may have changed as a whole.
         ratio /= np.median(ratio[::_SPARSE], axis=0)
@@ -66,6 +65,7 @@ class Rim:
         return False
 
 
-def _coarse(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def coarse(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """A picture, (H, W, 3), averaged down by `GLANCE_SCALE`: arms are wide, and noise and grain average out."""
     small = cv2.resize(image, None, fx=1.0 / GLANCE_SCALE, fy=1.0 / GLANCE_SCALE, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)

@@ -45,6 +45,13 @@ def test_every_command_does_what_it_is_called(
     assert cell.told == ["start", "pause", "resume", "stop", "reset"]
 
 
+def test_a_start_says_that_the_view_is_clear_only_when_told_to(at: Path, cell: PretendedCell) -> None:
+    control.start(at=at, view_clear=True)
+    control.stop(at=at)
+    control.start(at=at)
+    assert cell.told == ["start --view-clear", "stop", "start"]
+
+
 def test_people_see_what_matters(at: Path, cell: PretendedCell, capsys: pytest.CaptureFixture[str]) -> None:
     cell.log.raise_("camera_lost", "/dev/video0 is gone", "plug it in")
     control.status(at=at)

@@ -55,10 +55,10 @@ class PretendedCell:
         self.told.append(command)
         self.state = state
 
-    def start(self) -> None:
+    def start(self, *, view_clear: bool = False) -> None:
         if self.state is not State.STOPPED:
             raise Refused(f"not possible in {self.state.value}", "stop first")
-        self._do("start", State.CAPTURE)
+        self._do("start --view-clear" if view_clear else "start", State.CAPTURE)
 
     def pause(self) -> None:
         self._do("pause", State.HELD)

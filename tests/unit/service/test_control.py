@@ -131,6 +131,7 @@ def test_a_mistake_in_a_command_is_answered_and_survived(client: ControlClient) 
         (b'{"command": "acknowledge", "alarm": "all"}', "bad_request"),
         (b'{"command": "acknowledge", "alarm": true}', "bad_request"),
         (b'{"command": "start", "speed": 100}', "bad_request"),
+        (b'{"command": "start", "view_clear": "yes"}', "bad_request"),
         (b'{"command": "stop", "when": "later"}', "unknown_command"),
         (b'{"command": "__init__"}', "unknown_command"),
         (b'{"command": ["start"]}', "unknown_command"),

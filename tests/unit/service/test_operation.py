@@ -138,6 +138,17 @@ def test_nothing_starts_before_everything_is_ready() -> None:
         operation.start()
 
 
+def test_what_reaches_over_the_table_is_forgotten_only_by_a_start_that_is_granted() -> None:
+    told: list[str] = []
+    operation = Operation(FACTS, lambda: (), view_clear=lambda: told.append("clear"))
+    with pytest.raises(Refused):
+        operation.start(view_clear=True)
+    operation.ready()
+    assert told == []
+    operation.start(view_clear=True)
+    assert told == ["clear"]
+
+
 def test_what_the_cell_holds_for_is_an_alarm_until_it_is_over(cell: Cell) -> None:
     cell.start()
     operation = cell.operation

@@ -14,7 +14,7 @@ from controller.config.cell import load_cell
 from controller.config.files import shipped
 from controller.domain import CellCalibration, Frame
 from controller.errors import PictureUnusable
-from controller.service.scenery import watch_scenery
+from controller.service.scenery import clear_view, watch_scenery
 from controller.vision.watch import WatchedCamera
 from sim_backends.virtual_clock import VirtualClock
 
@@ -82,3 +82,26 @@ def test_a_damaged_reference_is_learnt_again(table: Image, tmp_path: Path) -> No
     look(table, tmp_path)
     with pytest.raises(PictureUnusable, match="moved"):
         look(moved(table), tmp_path)
+
+
+def calibrated(name: str) -> CellCalibration:
+    config = load_cell(shipped("sim.toml"))
+    camera, T_table_camera = nominal_camera(config)
+    return CellCalibration(name, camera, T_table_camera, config.table.T_base_table())
+
+
+@pytest.mark.safety("SR-36")
+def test_how_the_table_looks_with_nothing_over_it_outlives_the_program(tmp_path: Path) -> None:
+    small = np.random.default_rng(0).uniform(0.0, 255.0, (90, 160, 3)).astype(np.float32)
+    clear_view(calibrated("first"), tmp_path).learn(small)
+    kept = clear_view(calibrated("first"), tmp_path).image
+    assert kept is not None
+    np.testing.assert_allclose(kept, small, atol=0.5 + 1e-3)
+    assert clear_view(calibrated("second"), tmp_path).image is None
+    clear_view(calibrated("second"), tmp_path).learn(small)
+    assert [path.name for path in tmp_path.iterdir()] == ["clear-view-second.png"]
+
+
+def test_half_a_view_is_none(tmp_path: Path) -> None:
+    (tmp_path / "clear-view-first.png").write_bytes(b"\x89PNG")
+    assert clear_view(calibrated("first"), tmp_path).image is None
