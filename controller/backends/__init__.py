@@ -11,6 +11,7 @@ from controller.backends.painted_table import PaintedTable
 from controller.backends.real import lone_camera, plugged_in, real_devices
 from controller.backends.recorded import rehearsed, replay_devices
 from controller.backends.simulated import sim_devices
+from controller.backends.simulated_spec import simulated_cell
 
 __all__ = [
     "DEVICES",
@@ -25,6 +26,7 @@ __all__ = [
     "nominal_camera",
     "plugged_in",
     "rehearsed",
+    "simulated_cell",
 ]
 
 DEVICES: Mapping[Mode, Factory] = {Mode.REAL: real_devices, Mode.SIM: sim_devices, Mode.REPLAY: replay_devices}

@@ -78,6 +78,7 @@ def evaluate(
         "arm": cell.arm.description,
         "arm_given": arm is not None,
         "config": None if config is None else str(config),
+        "classes": None if classes is None else str(classes),
         "level": str(level),
         "parts_per_table": parts,
         "disturb": disturb,

@@ -19,11 +19,12 @@ import cv2
 from rich.table import Table
 
 from controller import __version__
-from controller.backends import Level, Mode
+from controller.backends import Level, Mode, simulated_cell
 from controller.cli.output import stderr, stdout
 from controller.config.cell import CellConfig
 from controller.errors import InputError, SorterError
-from controller.insight import evaluation_report
+from controller.insight import comparison, evaluation_report
+from controller.insight.comparison import Evaluation
 from controller.insight.evaluation import summary
 from controller.insight.trial import Record, Trial
 from controller.service.session import RunOptions, Session
@@ -98,7 +99,8 @@ def evaluate_sim(
         compare: An `evaluation.json` of before.
         as_json: Print JSON.
     """
-    old = _figures_of(compare) if compare is not None else None
+    before = _read_evaluation(compare) if compare is not None else None
+    simulated_cell()  # once, before every table fails for the same reason
     diary = None if report is None else Diary(report, head)
     records = [] if diary is None else diary.done([job.seed for job in jobs])
     done = {record["seed"] for record in records}
@@ -106,7 +108,7 @@ def evaluate_sim(
     if done:
         console.print(f"{len(done)} tables are done already, in {report}", highlight=False)
     interrupted = False
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    handler = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         for record in sorted_tables([job for job in jobs if job.seed not in done], processes):
             records.append(record)
@@ -119,18 +121,20 @@ def evaluate_sim(
         interrupted = True
         console.print("interrupted: what is done is reported; the same command goes on from here", highlight=False)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, handler)
     records.sort(key=lambda record: int(record["seed"]))
     figures = summary({**head, "seeds": span([record["seed"] for record in records])}, records)
+    config = jobs[0].config
+    evaluation = Evaluation(figures, config.model_dump(mode="json"), records)
     if report is not None:
-        text = json.dumps({"summary": figures, "runs": records})
+        text = json.dumps({"summary": figures, "configuration": evaluation.configuration, "runs": records})
         (report / "evaluation.json").write_text(text + "\n", encoding="utf-8")
-        page = evaluation_report.page(figures, records, jobs[0].config, old)
+        page = evaluation_report.page(evaluation, config, before, str(compare))
         (report / "evaluation.html").write_text(page, encoding="utf-8")
     if as_json:
         print(json.dumps(figures))
     else:
-        _print(figures, old, report)
+        _print(evaluation, before, report)
     return 130 if interrupted else 1 if figures["broken_runs"] else 0
 
 
@@ -198,14 +202,17 @@ def sorted_tables(jobs: Sequence[Job], processes: int) -> Iterator[Record]:
             raise
 
 
-def _figures_of(path: Path) -> dict[str, Any]:
+def _read_evaluation(path: Path) -> Evaluation:
+    remedy = "name an evaluation.json of --report DIR"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["summary"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is no evaluation ({error})", "name an evaluation.json of --report DIR") from error
-    if not isinstance(found, dict):
-        raise InputError(f"{path} is no evaluation", "name an evaluation.json of --report DIR")
-    return found
+        found = json.loads(path.read_text(encoding="utf-8"))
+        evaluation = Evaluation(found["summary"], found.get("configuration", {}), found["runs"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path} is no evaluation ({error})", remedy) from error
+    kinds = (evaluation.figures, dict), (evaluation.configuration, dict), (evaluation.records, list)
+    if not all(isinstance(part, kind) for part, kind in kinds):
+        raise InputError(f"{path} is no evaluation", remedy)
+    return evaluation
 
 
 def _line(record: Record) -> str:
@@ -219,20 +226,23 @@ def _line(record: Record) -> str:
     return f"seed {record['seed']}: {told}{problem}"
 
 
-def _print(figures: Mapping[str, Any], old: Mapping[str, Any] | None, report: Path | None) -> None:
-    grid = Table(box=None, show_header=False, pad_edge=False)
-    for name, value in evaluation_report.rows(figures):
-        grid.add_row(name, value)
+def _print(evaluation: Evaluation, before: Evaluation | None, report: Path | None) -> None:
     console = stdout()
-    console.print(grid)
-    if old is not None:
-        changes = Table(box=None, pad_edge=False)
-        for title in ("changed", "before", "now"):
-            changes.add_column(title)
-        for line in evaluation_report.comparison(figures, old):
-            changes.add_row(*line)
-        console.print(changes)
-    for run in figures["broken_runs"]:
+    console.print(_table(evaluation_report.rows(evaluation.figures)))
+    if before is not None:
+        changed = comparison.settings(evaluation, before)
+        console.print(_table(changed, comparison.SETTINGS_HEADING) if changed else "\nBoth were set alike.")
+        differences = [difference.row() for difference in comparison.differences(evaluation, before)]
+        console.print(_table(differences, comparison.DIFFERENCES_HEADING))
+        console.print(comparison.HOW_JUDGED, highlight=False)
+    for run in evaluation.figures["broken_runs"]:
         print(f"seed {run['seed']} broke off: {run['error']}", file=sys.stderr)
     if report is not None:
         console.print(f"Report: {report / 'evaluation.html'}")
+
+
+def _table(rows: Sequence[Sequence[str]], heading: Sequence[str] = ()) -> Table:
+    grid = Table(*heading, box=None, pad_edge=False, show_header=bool(heading))
+    for row in rows:
+        grid.add_row(*row)
+    return grid

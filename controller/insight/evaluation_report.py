@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import html
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from controller.config.cell import CellConfig
+from controller.insight import comparison
 from controller.insight.charts import error_map, gantt, histogram, matrix
+from controller.insight.comparison import Evaluation
 from controller.insight.evaluation import cycle_durations, median_cycle
 from controller.insight.page import head, table, text
 from controller.insight.report import FATES
@@ -48,47 +51,22 @@ def rows(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
     return lines
 
 
-def comparison(new: Mapping[str, Any], old: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(name, old, new) of everything two evaluations tell, where it differs."""
-    lines = []
-    for key in dict.fromkeys([*old, *new]):
-        if key in ("wall_s", "cpu_s", "confusion", "destinations", "breakdown_s", "broken_runs"):
-            continue
-        before, after = old.get(key), new.get(key)
-        if key == "rates":
-            before, after = before or {}, after or {}
-            names = dict.fromkeys([*before, *after])
-            pairs = [(name, _rate(before.get(name)), _rate(after.get(name))) for name in names]
-        else:
-            pairs = [(_NAMES.get(key, key), text(before), text(after))]
-        lines += [pair for pair in pairs if pair[1] != pair[2]]
-    return lines
-
-
-def page(
-    figures: Mapping[str, Any], records: Sequence[Record], config: CellConfig, old: Mapping[str, Any] | None = None
-) -> str:
+def page(evaluation: Evaluation, config: CellConfig, before: Evaluation | None = None, before_name: str = "") -> str:
     """A self-contained HTML page.
 
     Args:
-        figures: Of `evaluation.summary`.
-        records: The runs, with their seeds.
+        evaluation: Its figures and its runs.
         config: Of the cell.
-        old: Figures of another evaluation, to compare with.
+        before: Another evaluation, to compare with.
+        before_name: Its file.
     """
-    title = f"Evaluation in simulation: {figures.get('arm', '')}, level {figures.get('level', '')}"
-    lines = [head(title)]
-    first, last = min(r["seed"] for r in records), max(r["seed"] for r in records)
-    lines.append(f"<p>Seeds {first} to {last}; made again by <code>{html.escape(command(figures))}</code></p>")
+    figures, records = evaluation.figures, evaluation.records
+    lines = [head(f"Evaluation in simulation: {figures.get('arm', '')}, level {figures.get('level', '')}")]
+    lines.append(f"<p>Seeds {figures['seeds']}; made again by <code>{html.escape(command(figures))}</code></p>")
     lines.append(table(rows(figures), {name for key, name in _NAMES.items() if key in _BAD and figures.get(key)}))
     lines += [f'<p class="bad">seed {r["seed"]}: {html.escape(r["error"])}</p>' for r in figures["broken_runs"]]
-    if old is not None:
-        lines.append("<h2>Compared</h2><table><tr><th></th><th>before</th><th>now</th></tr>")
-        lines += [
-            f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td><td>{html.escape(c)}</td></tr>"
-            for a, b, c in comparison(figures, old)
-        ]
-        lines.append("</table>")
+    if before is not None:
+        lines += _compared(evaluation, before, before_name)
     lines.append("<h2>Where it looked wrong</h2>")
     seen = [item for record in records for item in record.get("seen", ())]
     outline = [(float(x), float(y)) for x, y in config.work_area_outline(config.table.T_base_table())]
@@ -116,6 +94,17 @@ def page(
     return "\n".join(lines) + "</html>\n"
 
 
+def _compared(now: Evaluation, before: Evaluation, name: str) -> list[str]:
+    changed = comparison.settings(now, before)
+    return [
+        f"<h2>Compared with {html.escape(name)}</h2>",
+        f"<p>That was <code>{html.escape(command(before.figures))}</code></p>",
+        table(changed, heading=comparison.SETTINGS_HEADING) if changed else "<p>Both were set alike.</p>",
+        table([d.row() for d in comparison.differences(now, before)], heading=comparison.DIFFERENCES_HEADING),
+        f"<p>{comparison.HOW_JUDGED}</p>",
+    ]
+
+
 def _failures(figures: Mapping[str, Any], records: Sequence[Record]) -> list[str]:
     found = [(record["seed"], failure) for record in records for failure in record.get("failures", ())]
     lines = [f"<h2>What went wrong: {len(found)}</h2>"]
@@ -136,24 +125,32 @@ def _failures(figures: Mapping[str, Any], records: Sequence[Record]) -> list[str
 
 def command(figures: Mapping[str, Any]) -> str:
     """The command line that makes these figures again."""
-    return (
-        f"controller evaluate --sim --seeds {figures['seeds']} --parts {figures['parts_per_table']} "
-        f"--level {figures['level']}{'' if figures.get('pick_proof', True) else ' --no-pick-proof'}{_extra(figures)}"
-    )
+    seeds = figures["seeds"].split()  # one by one when it was cut off: the whole range goes on from there
+    return _evaluate(figures, seeds[0] if len(seeds) == 1 else f"{seeds[0]}-{seeds[-1]}")
 
 
 def replay(figures: Mapping[str, Any], seed: int) -> str:
     """The command line that runs one of the tables again."""
-    return (
-        f"controller run --sim --level {figures['level']} --parts {figures['parts_per_table']} --seed {seed}"
-        f"{_extra(figures)}"
-    )
+    if not figures.get("pick_proof", True):  # which `controller run` never leaves out
+        return _evaluate(figures, str(seed))
+    return f"controller run --sim --seed {seed}{_setting(figures)}"
 
 
-def _extra(figures: Mapping[str, Any]) -> str:
-    config = f" --config {figures['config']}" if figures.get("config") else ""
-    config += f" --disturb '{figures['disturb']}'" if figures.get("disturb") else ""
-    return config + (f" --arm {figures['arm']}" if figures.get("arm_given") else "")
+def _evaluate(figures: Mapping[str, Any], seeds: str) -> str:
+    proof = "" if figures.get("pick_proof", True) else " --no-pick-proof"
+    return f"controller evaluate --sim --seeds {seeds}{_setting(figures)}{proof}"
+
+
+def _setting(figures: Mapping[str, Any]) -> str:
+    given = {
+        "--parts": figures["parts_per_table"],
+        "--level": figures["level"],
+        "--config": figures.get("config"),
+        "--classes": figures.get("classes"),
+        "--disturb": figures.get("disturb"),
+        "--arm": figures["arm"] if figures.get("arm_given") else None,
+    }
+    return "".join(f" {option} {shlex.quote(str(value))}" for option, value in given.items() if value)
 
 
 def _rate(rate: Mapping[str, float | None] | None) -> str:

@@ -20,7 +20,8 @@ def one_line(stdout: str) -> dict[str, Any]:
 
 
 def test_tables_are_sorted_over_processes_judged_and_compared(controller: Controller, tmp_path: Path) -> None:
-    (tmp_path / "old.json").write_text(json.dumps({"summary": {"correct": 1, "level": "static"}, "runs": []}))
+    old = {"level": "static", "arm": "reactorx_150", "parts_per_table": 2, "seeds": "3-4"}
+    (tmp_path / "old.json").write_text(json.dumps({"summary": old, "runs": []}))
     asked = ("evaluate", "--sim", "--seeds", "3-4", "--parts", 2, "--level", "ideal", "--jobs", 2)
     done = controller(*asked, "--report", "first", "--compare", "old.json", "--json")
     assert done.returncode == 0, done.stderr
@@ -36,6 +37,7 @@ def test_tables_are_sorted_over_processes_judged_and_compared(controller: Contro
     assert page.count("<svg") >= 4
     assert "http" not in page
     assert "<tr><td>level</td><td>static</td><td>ideal</td></tr>" in page
+    assert "simulated for one of processor time" in page
 
 
 def test_a_film_does_not_change_the_run(controller: Controller, calibration: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from controller.config.cell import load_cell
 from controller.config.files import shipped
 from controller.insight import evaluation_report
+from controller.insight.comparison import Evaluation
 from controller.insight.evaluation import bounds, breakdown, cycles_of, median_cycle, summary
 
 STATES = ["HOMING", "CAPTURE", "DETECT", "PICK", "PLACE", "CAPTURE", "DETECT", "PICK", "CAPTURE", "IDLE", "STOPPED"]
@@ -96,23 +97,38 @@ def test_a_run_that_broke_off_is_told_and_does_not_hide_the_others() -> None:
     assert figures["times_real_time"] == 4.0
 
 
-def test_a_comparison_shows_what_differs() -> None:
-    head = {"level": "static", "arm": "a"}
-    before, now = summary(head, [record(1)]), summary({**head, "arm": "b"}, [record(1, correct=0, missorted=1)])
-    assert evaluation_report.comparison(before, before) == []
-    changed = {name: (old, new) for name, old, new in evaluation_report.comparison(now, before)}
-    assert changed["arm"] == ("a", "b")
-    assert changed["in a wrong bin, by the world's truth"] == ("0", "1")
-    assert "missorted of sorted" in changed
-
-
 def test_the_page_shows_every_failure_with_the_command_that_repeats_it() -> None:
     head = {"arm": "reactorx_150", "level": "static", "parts_per_table": 1, "seeds": "7-7", "config": None}
     bad = record(7, correct=0, missorted=1)
     bad["failures"] = [{"kind": "missorted", "text": "a <square> in circles", "at_s": 3.0, "before": "QUJD"}]
     records = [bad]
-    page = evaluation_report.page(summary(head, records), records, load_cell(shipped("sim.toml")))
+    page = evaluation_report.page(Evaluation(summary(head, records), {}, records), load_cell(shipped("sim.toml")))
     assert "a &lt;square&gt; in circles" in page
-    assert "controller run --sim --level static --parts 1 --seed 7" in page
+    assert "controller run --sim --seed 7 --parts 1 --level static" in page
     assert "data:image/jpeg;base64,QUJD" in page
     assert "http" not in page
+
+
+@pytest.mark.parametrize(
+    ("more", "again", "one"),
+    [
+        ({}, "controller evaluate --sim --seeds 3-4", "controller run --sim --seed 4"),
+        ({"seeds": "3 5 8"}, "controller evaluate --sim --seeds 3-8", "controller run --sim --seed 4"),
+        (
+            {"pick_proof": False, "disturb": "slip, knock", "config": "my cell.toml"},
+            "controller evaluate --sim --seeds 3-4 --config 'my cell.toml' --disturb 'slip, knock' --no-pick-proof",
+            # `controller run` always proves its grasps.
+            "controller evaluate --sim --seeds 4 --config 'my cell.toml' --disturb 'slip, knock' --no-pick-proof",
+        ),
+    ],
+)
+def test_what_the_page_says_to_type_is_the_same_evaluation(more: dict[str, Any], again: str, one: str) -> None:
+    figures = {"arm": "a", "level": "static", "parts_per_table": 2, "seeds": "3-4", **more}
+    shared = " --parts 2 --level static"
+
+    def plain(command: str) -> str:
+        assert shared in command
+        return command.replace(shared, "")
+
+    assert plain(evaluation_report.command(figures)) == again
+    assert plain(evaluation_report.replay(figures, 4)) == one
