@@ -183,11 +183,13 @@ def _quotient(sums: Array) -> Array:
 
 
 def _flat(value: object, name: str) -> dict[str, object]:
-    if isinstance(value, list) and any(isinstance(part, dict) for part in value):
-        value = {str(number): part for number, part in enumerate(value, 1)}
-    if not isinstance(value, Mapping):
+    if isinstance(value, Mapping):
+        parts = [(f"{name}.{key}" if name else str(key), part) for key, part in value.items()]
+    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
+        parts = [(f"{name}[{number}]", part) for number, part in enumerate(value)]
+    else:
         return {name: value}
     found: dict[str, object] = {}
-    for key, part in value.items():
-        found |= _flat(part, f"{name}.{key}" if name else str(key))
+    for path, part in parts:
+        found |= _flat(part, path)
     return found

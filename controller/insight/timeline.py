@@ -52,7 +52,7 @@ class Timeline(Observer):
         }
         devices.camera = cast(Camera, _Watched(devices.camera, self, now, {"capture": ("camera", _frame)}))
         devices.arm = cast(Arm, _Watched(devices.arm, self, now, lanes))
-        devices.clock = cast(Clock, _Watched(devices.clock, self, now, {"charge": ("computing", _charge)}))
+        devices.clock = cast(Clock, _Watched(devices.clock, self, now, {"charge": ("computing", self._charge)}))
 
     def entered(self, state: State, at: float) -> None:
         """The state before has ended."""
@@ -80,13 +80,13 @@ class Timeline(Observer):
         before, self._wanted_opening = self._wanted_opening, opening
         return "close" if opening < before else "open"
 
+    def _charge(self, seconds: float) -> str:
+        # What is charged for in PICK is the plan; in every other state it is a picture.
+        return "planning" if self._state is not None and self._state[0] is State.PICK else "seeing"
+
 
 def _frame(*arguments: Any, **options: Any) -> str:
     return "frame"
-
-
-def _charge(seconds: float) -> str:
-    return f"{1e3 * seconds:.0f} ms"
 
 
 class _Watched:

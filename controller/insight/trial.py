@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from controller.backends import Devices, Touch
 from controller.config.cell import CellConfig
+from controller.cycle.machine import State
 from controller.cycle.rig import Look, Observer
 from controller.domain import NudgePlan, Outcome, PickPlan, Point, Result, TruePart
 from controller.errors import SorterError
@@ -53,6 +54,7 @@ class Trial(Observer):
 
     config: CellConfig
     timed: bool = True
+    _began: float | None = None
     _truth: Truth | None = None
     _touches: Callable[[], Sequence[Touch]] = lambda: ()
     _disturbed: Callable[[], Sequence[tuple[float, str]]] = lambda: ()
@@ -79,6 +81,10 @@ class Trial(Observer):
         return (self, self._timeline)
 
     # --- told by the run ------------------------------------------------------------------------------
+
+    def entered(self, state: State, at: float) -> None:
+        """The work begins with the first state."""
+        self._began = at if self._began is None else self._began
 
     def looked(self, look: Look) -> None:
         """Compare every located object with the truth at the moment of the exposure."""
@@ -275,7 +281,8 @@ class Trial(Observer):
             pictures["before"] = _jpeg(_crop(annotated(self._looks[look]), center))
             if after != look:
                 pictures["after"] = _jpeg(_crop(annotated(self._looks[after]), center))
-        return {"kind": kind, "text": text, "at_s": round(at, 3), **pictures}
+        # Since the work began, as `controller run` tells it.
+        return {"kind": kind, "text": text, "at_s": round(at - (self._began or 0.0), 3), **pictures}
 
     def _pixel(self, center: Point) -> Point | None:
         """About where a point of the table lies in the picture, from the objects that were located."""

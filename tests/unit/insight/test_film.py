@@ -73,7 +73,7 @@ def test_a_timeline_notes_what_camera_arm_and_clock_do_and_nothing_that_failed()
         set_.arm.follow(Trajectory("carry", 0.01, way, way))
     assert [(span.lane, span.name) for span in timeline.spans] == [
         ("arm", "approach"),
-        ("computing", "50 ms"),
+        ("computing", "planning"),
         ("gripper", "close"),
         ("gripper", "open"),
         ("state", "PICK"),
