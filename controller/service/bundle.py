@@ -101,7 +101,7 @@ def write(bundle: Bundle, path: Path, made_at: str) -> dict[str, object]:
             }
             for name, text in bundle.texts.items()
         ],
-        "missing": {what: without_secrets(why, platform.node())[0] for what, why in bundle.missing.items()},
+        "missing": {what: without_secrets(why, *_names())[0] for what, why in bundle.missing.items()},
     }
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -125,15 +125,21 @@ def _add(bundle: Bundle, name: str, text: str) -> None:
     elif suffix == ".json":
         bundle.texts[name], bundle.removed[name] = _cleaned_json(text, 1)
     else:
-        bundle.texts[name], bundle.removed[name] = without_secrets(text, platform.node())
+        bundle.texts[name], bundle.removed[name] = without_secrets(text, *_names())
 
 
 def _cleaned_json(text: str, indent: int | None) -> tuple[str, int]:
     try:
-        found, removed = json_without_secrets(json.loads(text), platform.node())
+        found, removed = json_without_secrets(json.loads(text), *_names())
     except (ValueError, RecursionError):
-        return without_secrets(text, platform.node())
+        return without_secrets(text, *_names())
     return json.dumps(found, indent=indent), removed
+
+
+def _names() -> tuple[str, ...]:
+    """The machine's, and the home of whoever collects: wherever it is, his own name is in its path."""
+    home = os.path.expanduser("~")
+    return platform.node(), home, os.path.realpath(home)
 
 
 # --- the sources ------------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def without_secrets(text: str, *names: str) -> tuple[str, int]:
 
     Args:
         text: Any text.
-        names: Words to take out as well, e.g. the name of the machine.
+        names: Words to take out as well, such as the name of the machine, or the path of somebody's home.
     """
     removed = 0
     for pattern, instead in _RULES:
@@ -56,7 +56,7 @@ def without_secrets(text: str, *names: str) -> tuple[str, int]:
         removed += count
     for name in names:
         if len(name) > 2:
-            text, count = re.subn(rf"\b{re.escape(name)}\b", REMOVED, text)
+            text, count = re.subn(rf"(?<!\w){re.escape(name)}(?!\w)", REMOVED, text)
             removed += count
     return text, removed
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from controller.domain import Array, Trajectory
+from controller.domain import Array, MoveReport, Trajectory
 from controller.errors import ArmError, LimitViolation
 from controller.ports import Arm, Clock
 
@@ -123,11 +123,11 @@ class ArmSuite:
         arm = arm_case.arm
         arm.energise()
         start, end = self._lifted(arm)
-        reports: list[object] = []
+        reports: list[MoveReport] = []
         arm_case.during(lambda: reports.append(arm.follow(quintic(start, end, 2.0))), 0.8, arm.request_stop)
         (report,) = reports
         stopped = arm.state().positions
-        assert not report.finished  # type: ignore[attr-defined]
+        assert not report.finished
         done = (stopped - start) @ (end - start) / ((end - start) @ (end - start))
         assert 0.05 < done < 0.95
         # All joints have come equally far: off the line by less than what their lags differ by.

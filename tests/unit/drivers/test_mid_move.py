@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from controller.domain import Trajectory
+from controller.domain import ArmState, Trajectory
 from controller.errors import ArmError, BusError, LimitViolation, MotionTimeout, ServoFault
 from drivers.arm.body import WATCHDOG
 from drivers.arm.conversions import TICKS_PER_RAD
@@ -212,15 +212,16 @@ def test_an_offset_in_the_first_goal_is_led_in_gently() -> None:
 
 def test_one_move_at_a_time_and_state_from_other_threads() -> None:
     bench = ArmBench()
-    seen: list[object] = []
+    states: list[ArmState] = []
+    errors: list[ArmError] = []
 
     def from_a_thread() -> None:
         def ask() -> None:
-            seen.append(bench.arm.state())
+            states.append(bench.arm.state())
             try:
                 bench.arm.grip(50.0)
             except ArmError as error:
-                seen.append(error)
+                errors.append(error)
 
         thread = threading.Thread(target=ask)
         thread.start()
@@ -229,6 +230,6 @@ def test_one_move_at_a_time_and_state_from_other_threads() -> None:
     with bench.ready() as arm:
         bench.later(0.5, from_a_thread)
         assert arm.follow(a_move(bench)).finished
-    state, error = seen
-    assert 0.4 < state.at < 0.7  # type: ignore[attr-defined]
+    (state,), (error,) = states, errors
+    assert 0.4 < state.at < 0.7
     assert "busy" in str(error)

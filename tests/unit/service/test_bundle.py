@@ -49,6 +49,7 @@ ALL = "\n".join(f"# {line}" for line in PLANTED.values())
 def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
     """A cell with secrets in every file that goes into a bundle, and in its journal."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
+    monkeypatch.setenv("HOME", str(tmp_path))  # a home anywhere has its owner's name in its path
     state, root = tmp_path / "state", tmp_path / "root"
     (state / "calibration").mkdir(parents=True)
     (root / "etc/systemd/system").mkdir(parents=True)
@@ -80,6 +81,7 @@ def test_no_planted_secret_gets_into_the_archive(case: Case, tmp_path: Path) -> 
     for name, text in texts.items():
         for secret in PLANTED:
             assert secret not in text, f"{secret} is in {name}"
+        assert str(tmp_path) not in text, name
         if len(platform.node()) > 2:
             assert platform.node() not in text
     # What the reader needs is still there.
