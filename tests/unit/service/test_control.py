@@ -8,7 +8,6 @@ import os
 import select
 import socket
 import stat
-import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,8 +21,8 @@ from hypothesis import strategies as st
 from controller.cycle.machine import State
 from controller.errors import SorterError
 from controller.service import control
-from controller.service.client import CommandFailed, ControlClient, NotRunning, folder_of_running_cell
-from controller.service.control import BURST, MAX_CLIENTS, MAX_LINE, SOCKET, ControlServer
+from controller.service.client import CommandFailed, ControlClient
+from controller.service.control import BURST, MAX_CLIENTS, MAX_LINE, ControlServer
 from controller.service.requests import CHANGING, READING, BadRequest, parse
 from controller.service.unix_socket import Peer, address_of, connect, peer_of
 from tests.unit.service.cell_double import PretendedCell
@@ -76,7 +75,7 @@ def _connected(path: Path) -> Iterator[Line]:
             line.close()
 
 
-# --- commands ----------------------------------------------------------------------------------------------
+# --- commands -----------------------------------------------------------------------------------------------
 
 
 def test_the_commands_do_what_they_say(client: ControlClient, cell: PretendedCell) -> None:
@@ -168,7 +167,17 @@ def test_no_bytes_crash_the_server_or_move_the_cell(tmp_path_factory: pytest.Tem
     assert cell.told == []
 
 
-# --- a stop waits for nobody -------------------------------------------------------------------------------
+def test_the_documented_commands_are_those_there_are() -> None:
+    documented = {
+        name.strip("` ")
+        for row in (control.__doc__ or "").splitlines()
+        if row.startswith("| `")
+        for name in row.split("|")[1].split("(")[0].split(",")
+    }
+    assert documented == {*READING, *CHANGING, "stop"}
+
+
+# --- a stop waits for nobody --------------------------------------------------------------------------------
 
 
 @pytest.mark.safety("SR-20")
@@ -240,7 +249,7 @@ def test_a_flood_of_requests_is_held_back_but_not_the_stop_in_it(tmp_path: Path,
     assert cell.told == ["stop"]
 
 
-# --- limits and deadlines ----------------------------------------------------------------------------------
+# --- limits and deadlines -----------------------------------------------------------------------------------
 
 
 def test_a_request_that_is_too_long_ends_the_connection(server: ControlServer) -> None:
@@ -297,7 +306,7 @@ def test_the_server_shows_that_it_is_alive(tmp_path: Path) -> None:
     assert beats
 
 
-# --- who may talk ------------------------------------------------------------------------------------------
+# --- who may talk -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -348,105 +357,3 @@ def test_the_process_s_group_operates_only_where_a_service_manager_chose_it(monk
 def test_the_socket_itself_is_open_to_no_others(tmp_path: Path, group: int | None, mode: int) -> None:
     with ControlServer(tmp_path, PretendedCell(), group=group) as server:
         assert stat.S_IMODE(server.path.stat().st_mode) == mode
-
-
-# --- the socket's file -------------------------------------------------------------------------------------
-
-
-def test_a_socket_left_behind_is_replaced_and_the_own_one_is_taken_away(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as old:
-        old.bind(str(tmp_path / SOCKET))
-    with ControlServer(tmp_path, PretendedCell()):
-        assert ControlClient(tmp_path).ask("status")["state"] == "STOPPED"
-    assert not (tmp_path / SOCKET).exists()
-
-
-def test_a_file_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / SOCKET).write_text("precious")
-    with pytest.raises(SorterError, match=SOCKET):
-        ControlServer(tmp_path, PretendedCell())
-    assert (tmp_path / SOCKET).read_text() == "precious"
-
-
-def test_a_folder_with_a_long_name_will_do(tmp_path: Path) -> None:
-    folder = tmp_path / ("long" * 40)
-    with ControlServer(folder, PretendedCell()):
-        assert ControlClient(folder).ask("status")["state"] == "STOPPED"
-
-
-# --- the client --------------------------------------------------------------------------------------------
-
-
-def test_no_cell_is_a_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(NotRunning, match=r"no cell is running at .*: start it"):
-        ControlClient(tmp_path).ask("status")
-    with socket.socket(socket.AF_UNIX) as dead:
-        dead.bind(str(tmp_path / SOCKET))
-    with pytest.raises(NotRunning):
-        ControlClient(tmp_path).ask("status")
-
-
-def test_a_server_that_takes_nobody_in_is_given_up_in_time(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as asleep, socket.socket(socket.AF_UNIX) as first:
-        asleep.bind(str(tmp_path / SOCKET))
-        asleep.listen(0)
-        first.connect(str(tmp_path / SOCKET))
-        with pytest.raises(SorterError, match="no reply within"):
-            ControlClient(tmp_path, timeout=0.05).ask("status")
-
-
-@pytest.mark.parametrize("reply", [b"hello\n", b"[]\n", b'{"ok": false}\n', b'{"ok": true}\n', b"\xff\n"])
-def test_what_is_no_reply_of_a_cell_is_called_so(tmp_path: Path, reply: bytes) -> None:
-    with socket.socket(socket.AF_UNIX) as other:
-        other.bind(str(tmp_path / SOCKET))
-        other.listen(1)
-
-        def answer() -> None:
-            line, _ = other.accept()
-            with line:
-                line.recv(4096)
-                line.sendall(reply)
-
-        thread = threading.Thread(target=answer)
-        thread.start()
-        with pytest.raises(SorterError, match="not a reply of a cell"):
-            ControlClient(tmp_path).ask("status")
-        thread.join()
-
-
-def test_waiting_for_rest_ends_with_the_rest_the_program_or_the_patience(
-    server: ControlServer, client: ControlClient, cell: PretendedCell
-) -> None:
-    client.ask("start")
-
-    def rest(seconds: float) -> None:
-        cell.state = State.STOPPED
-
-    found = client.wait_for_rest(5.0, pause=rest)
-    assert found is not None
-    assert found["state"] == "STOPPED"
-    cell.state = State.PICK
-    times = iter([0.0, 3.0, 6.0])
-    with pytest.raises(SorterError, match="still EXECUTE after 5 s"):
-        client.wait_for_rest(5.0, pause=lambda seconds: None, now=lambda: next(times))
-    server.close()
-    assert client.wait_for_rest(5.0) is None
-
-
-def test_the_service_is_looked_for_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/mine")
-    assert folder_of_running_cell(tmp_path) == tmp_path
-    assert folder_of_running_cell(tmp_path / "none") == Path("/var/lib/mine")
-    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/mine")
-    assert folder_of_running_cell(tmp_path) == Path("/run/mine")
-
-
-def test_the_documented_commands_are_those_there_are() -> None:
-    documented = {
-        name.strip("` ")
-        for row in (control.__doc__ or "").splitlines()
-        if row.startswith("| `")
-        for name in row.split("|")[1].split("(")[0].split(",")
-    }
-    assert documented == {*READING, *CHANGING, "stop"}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sim_backends.virtual_dynamixel import BusStream
+from sim_backends.virtual_dynamixel import BusStream, ServoSpec, VirtualBus
+from sim_backends.virtual_dynamixel.bench import IdealPlant
 from sim_backends.virtual_dynamixel.models import MODELS
 from sim_backends.virtual_dynamixel.registers import Register, register_table
 
@@ -87,3 +88,13 @@ class Client:
     def reboot(self) -> None:
         """Reboot the servo."""
         self.instruct(0x08)
+
+
+def rig(model: str = "XM430-W350", **settings: int) -> tuple[Client, IdealPlant, VirtualBus]:
+    """A servo with ID 1 on a world of ideal shafts, with registers as given, and a client to talk to it."""
+    plant = IdealPlant([1])
+    registers = tuple({"Return_Delay_Time": 0, **settings}.items())
+    bus = VirtualBus(plant, [ServoSpec(1, model, registers)])
+    stream = BusStream(bus)
+    stream.open(1_000_000)
+    return Client(stream), plant, bus
