@@ -144,7 +144,7 @@ class RecordingArm:
         self._velocities = np.zeros_like(self._positions)
         self._record_stop()
         self._raise_due(failure)
-        return MoveReport(index == last and not held, self._state(), 0.0)
+        return MoveReport(index == last and not held, self._state())
 
     def grip(self, opening: float, effort: float = 1.0) -> GripReport:
         """Record the command and settle where the script or the grip model says.

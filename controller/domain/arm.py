@@ -208,12 +208,10 @@ class MoveReport:
     Attributes:
         finished: False when it was stopped on request before its end.
         state: The arm after it.
-        worst_following_error: Largest distance of a joint from where it should have been, rad.
     """
 
     finished: bool
     state: ArmState
-    worst_following_error: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

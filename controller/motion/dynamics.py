@@ -131,9 +131,3 @@ def joint_offsets(arm: ArmDescription, calibrated: Mapping[str, float]) -> Array
 def lead(period: float) -> float:
     """How far ahead of its sample a streamed goal looks, s: half a period and the servo's loop time."""
     return period / 2.0 + LOOP_DELAY
-
-
-def holding_torque(arm: ArmDescription, q: Array, payload: float = 0.0) -> Array:
-    """Torque that holds the arm still: ndarray of shape (J,), Nm."""
-    still = np.zeros((1, len(q)))
-    return np.asarray(torque(arm, np.asarray(q, np.float64)[None], still, still, payload)[0])

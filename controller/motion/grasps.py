@@ -95,12 +95,12 @@ def sides(part: LocatedObject) -> tuple[Side, ...]:
 
 
 def fitting_sides(part: LocatedObject, gripper: Gripper) -> list[Side]:
-    """Those of the directions that a part's outline offers along which it is not too wide or too narrow."""
+    """Those of the directions that a part's outline offers along which it suits the jaws with room to spare."""
     narrowest, widest = gripper.opening
     return [
         side
         for side in sides(part)
-        if narrowest <= _flush(part, part.footprint, side.direction) <= widest - 2.0 * OPENING_MARGINS[-1]
+        if narrowest <= _flush(part, part.footprint, side.direction) <= widest - 2.0 * OPENING_MARGINS[0]
     ]
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from controller.domain import ArmDescription, Array, Point, Trajectory
-from controller.errors import LimitViolation
+from controller.errors import LimitViolation, PlanError
 from controller.geometry import invert, transform
 from controller.motion import ways
 from controller.motion.gate import Gate
@@ -21,6 +22,9 @@ from controller.motion.trajectory import generate
 CALM_SPEED = 1000.0  # mm/s of the tool in moves that carry nothing anywhere: ready, rest, by hand
 _FREE_IT = "nothing has moved: free the arm with `controller jog`, or by hand with its supply off, then reset"
 _START_CLIP = math.radians(3.0)  # a joint may rest this far outside its limits without being refused
+
+_Choice = TypeVar("_Choice")
+_Plan = TypeVar("_Plan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,18 +95,17 @@ class Moves:
         Raises:
             LimitViolation: The gate refuses every way tried.
         """
-        failure: LimitViolation | None = None
+
+        def made(way: ways.Way) -> Trajectory:
+            trajectory = self.calm(name, *way, CALM_SPEED)
+            self.gate.check(trajectory, q0)
+            return trajectory
+
         clear = self.overhead.between(self.below(q0), self.below(goal))
-        for legs, corners in ways.between(self.arm, clear, q0, goal):
-            try:
-                trajectory = self.calm(name, legs, corners, CALM_SPEED)
-                self.gate.check(trajectory, q0)
-            except LimitViolation as error:
-                failure = failure or error
-            else:
-                return trajectory
-        assert failure is not None
-        raise LimitViolation(failure.cause, _FREE_IT)
+        try:
+            return first(ways.between(self.arm, clear, q0, goal), made)
+        except LimitViolation as error:
+            raise LimitViolation(error.cause, _FREE_IT) from error
 
     def approach(self, q0: Array, down: Leg, rounded: float, opening: float, climb: float) -> Trajectory:
         """From a pose to the top of a stroke and down; approved.
@@ -117,23 +120,20 @@ class Moves:
         Raises:
             LimitViolation: The gate refuses every way tried.
         """
-        failure: LimitViolation | None = None
+
+        def made(way: ways.Way) -> Trajectory:
+            legs, corners = way
+            trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
+            self.gate.check(trajectory, q0, opening=opening)
+            return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
+
         clear = float(points(self.arm, down.start)[3, 2])
         found = (
             ways.between(self.arm, clear, q0, down.start)
             if climb <= 0.0
             else ways.climbing(self.arm, clear, q0, down.start, climb)
         )
-        for legs, corners in found:
-            try:
-                trajectory = self.along("approach", [*legs, down], [*corners, (ways.CORNER, rounded)])
-                self.gate.check(trajectory, q0, opening=opening)
-            except LimitViolation as error:
-                failure = failure or error
-            else:
-                return replace(trajectory, narrow=self._among_parts(trajectory, down, rounded))
-        assert failure is not None
-        raise failure
+        return first(found, made)
 
     def below(self, q: Array) -> Point:
         """(x, y) in `table` of the grasp point in a pose (J,), mm."""
@@ -146,3 +146,19 @@ class Moves:
         top = points(self.arm, down.start)[3, 2]
         over = np.flatnonzero(height > top - rounded - 1.0)
         return float(over[-1] if len(over) else 0) * approach.period
+
+
+def first(choices: Iterable[_Choice], plan: Callable[[_Choice], _Plan]) -> _Plan:
+    """The plan of the first of several choices that has one; there is one choice at least.
+
+    Raises:
+        PlanError: None has: why not the first.
+    """
+    failure: PlanError | None = None
+    for choice in choices:
+        try:
+            return plan(choice)
+        except PlanError as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure

@@ -152,14 +152,15 @@ class _Scene:
             perhaps = None
             for push in ways:
                 freed = [self._freed(moved, end, rest) for end in push.ends]
-                if all(freed):
+                if all(freed) and (moved is not self.target or all(map(self._has_spare_room, push.ends))):
                     yield self._priced(push)
                     break
                 if any(freed) and perhaps is None:
                     perhaps = push
             else:
                 if perhaps is not None:
-                    yield replace(self._priced(perhaps), cost=self._priced(perhaps).cost + _COST_UNSURE)
+                    cost = self._priced(perhaps).cost + _COST_UNSURE + self._cost_of_rim(perhaps)
+                    yield replace(perhaps, cost=cost)
 
     def turnings(self) -> Iterable[Push]:
         """Pushes that turn the target nearer to how the jaws could take it, for where one is not enough."""
@@ -168,7 +169,7 @@ class _Scene:
             for push in ways:
                 left = max(self._askew(end) for end in push.ends)
                 if askew - left > _LEAST_TURN:
-                    yield replace(push, cost=push.cost + math.degrees(left))
+                    yield replace(push, cost=push.cost + math.degrees(left) + self._cost_of_rim(push))
 
     def shoves(self, moved: LocatedObject) -> Iterable[Push]:
         """Pushes of a part past or into its neighbours, to loosen a heap; the less into it the better."""
@@ -315,6 +316,14 @@ class _Scene:
             return False
         return True
 
+    def _has_spare_room(self, part: LocatedObject) -> bool:
+        """Jaws that cannot turn reach around a part even if it comes to lie a little otherwise than foreseen."""
+        if self.tangent is None:
+            return True
+        direction = self.tangent(part.center)
+        along = part.footprint @ np.array([math.cos(direction), math.sin(direction)])
+        return float(np.ptp(along)) <= self.gripper.opening[1] - 2.0 * grasps.OPENING_MARGINS[0]
+
     def _askew(self, part: LocatedObject) -> float:
         """How far a part is turned away from the nearest of its sides that the jaws can close flush on, rad."""
         if self.tangent is None:
@@ -325,6 +334,10 @@ class _Scene:
 
     def _inside(self, place: Array | Point) -> bool:
         return cv2.pointPolygonTest(self.border, (float(place[0]), float(place[1])), True) >= AREA_MARGIN
+
+    def _cost_of_rim(self, push: Push) -> float:
+        """What the room costs that a push takes from between a part and the border."""
+        return _COST_RIM * max(self._room_lost(push.moved.center, end.center) for end in push.ends)
 
     def _pushed_along(self, moved: LocatedObject, ahead: Array) -> list[Array]:
         """Where what may go along with a part that is pushed lies now, itself first: neighbours, and theirs."""
@@ -337,7 +350,7 @@ class _Scene:
             found += met
         return found
 
-    def _room_lost(self, start: Array, end: Array) -> float:
+    def _room_lost(self, start: Array | Point, end: Array | Point) -> float:
         """How much of the room that the gripper needs between a part and the border a push takes, mm."""
         before, after = (cv2.pointPolygonTest(self.border, (float(x), float(y)), True) for x, y in (start, end))
         return max(min(before, _BORDER_ROOM) - after, 0.0)

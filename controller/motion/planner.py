@@ -22,12 +22,11 @@ from controller.domain import (
     Point,
     Trajectory,
 )
-from controller.errors import LimitViolation, PlanError, Unreachable
 from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
 from controller.motion.kinematics import points
-from controller.motion.moves import Moves
+from controller.motion.moves import Moves, first
 from controller.motion.overhead import CLEARANCE, PART_BELOW_TIPS, Overhead
 from controller.motion.path import Leg, line, straight, stroke
 from controller.motion.postures import Postures, Stop
@@ -133,14 +132,7 @@ class Planner:
         gripper = self.arm.gripper
         near = grasps.obstacles(others, self.bins, target.center, grasps.reach_about(target, gripper))
         choices = grasps.ways_to_take(target, gripper, near, self._tangent(target.center), corners, avoid)
-        failure: PlanError | None = None
-        for choice in choices:
-            try:
-                return self._plan(target, bin, drop, q0, choice.grasp, others, view, climb)
-            except (Unreachable, LimitViolation) as error:
-                failure = failure or error
-        assert failure is not None
-        raise failure
+        return first(choices, lambda choice: self._plan(target, bin, drop, q0, choice.grasp, others, view, climb))
 
     def plan_diverted(
         self, plan: PickPlan, bin: Bin, drop: Point, start: Array, *, view: Array | None
@@ -200,14 +192,8 @@ class Planner:
         """
         q0 = self._moves.start(start)
         tangent = None if self.turns_jaws else self._postures.tangent
-        failure: PlanError | None = None
-        for push in nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried, unsure=unsure):
-            try:
-                return self._nudge(target, push, others, q0, climb)
-            except (Unreachable, LimitViolation) as error:
-                failure = failure or error
-        assert failure is not None
-        raise failure
+        found = nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried, unsure=unsure)
+        return first(found, lambda push: self._nudge(target, push, others, q0, climb))
 
     def plan_touch(
         self, part: LocatedObject, beside: Point, by: Array, roll: float, start: Array
@@ -297,10 +283,6 @@ class Planner:
         found = discs(self.arm, np.asarray(start, np.float64) - self._offsets, self._eye)
         centers = np.column_stack([found[:, :2], np.zeros(len(found))])
         return np.column_stack([transform(invert(self._T), centers)[:, :2], found[:, 2]])
-
-    def reach_error(self, point: Point, height: float) -> str | None:
-        """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
-        return self._postures.error(point, height)
 
     def bin_error(self, bin: Bin, drop: Point | None = None, pile: float | None = None) -> str | None:
         """Why no part can be let go in a bin, or None when it can; see `Postures.bin_error`."""

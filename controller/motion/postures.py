@@ -186,14 +186,6 @@ class Postures:
             raise failure
         return best[1]
 
-    def error(self, point: Point, height: float) -> str | None:
-        """Why the grasp point cannot come to a place of `table` (mm) from above, or None when it can."""
-        try:
-            self.over(point, height, (0.0,))
-        except PlanError as error:
-            return error.cause
-        return None
-
     def bin_error(self, bin: Bin, drop: Point | None = None, pile: float | None = None) -> str | None:
         """Why no part can be let go in a bin, or None when it can.
 

@@ -160,7 +160,6 @@ class Model:
         position_gains: (P, I, D) from the factory.
         shutdown: Factory Shutdown: the hardware errors that cut the torque.
         load_full: Value at address 126 that is 100 %: Current_Limit, or 1000 for a load in 0.1 %.
-        measures_current: Address 126 is Present_Current rather than Present_Load.
     """
 
     name: str
@@ -168,18 +167,17 @@ class Model:
     position_gains: tuple[int, int, int]
     shutdown: int
     load_full: int
-    measures_current: bool
 
 
 _MODELS = (
-    Model("XL330-M077", 1190, (400, 400, 0), 53, 1750, True),
-    Model("XL330-M288", 1200, (400, 0, 0), 53, 1750, True),
-    Model("XL430-W250", 1060, (640, 0, 4000), 52, 1000, False),
-    Model("XC430-W150", 1070, (700, 0, 0), 52, 1000, False),
-    Model("XC430-W240", 1080, (700, 0, 0), 52, 1000, False),
-    Model("XM430-W350", 1020, (800, 0, 0), 52, 1193, True),
-    Model("XM540-W270", 1120, (800, 0, 0), 52, 2047, True),
-    Model("XH430-W350", 1000, (900, 0, 0), 52, 648, True),
+    Model("XL330-M077", 1190, (400, 400, 0), 53, 1750),
+    Model("XL330-M288", 1200, (400, 0, 0), 53, 1750),
+    Model("XL430-W250", 1060, (640, 0, 4000), 52, 1000),
+    Model("XC430-W150", 1070, (700, 0, 0), 52, 1000),
+    Model("XC430-W240", 1080, (700, 0, 0), 52, 1000),
+    Model("XM430-W350", 1020, (800, 0, 0), 52, 1193),
+    Model("XM540-W270", 1120, (800, 0, 0), 52, 2047),
+    Model("XH430-W350", 1000, (900, 0, 0), 52, 648),
 )
 
 MODELS: Mapping[str, Model] = {model.name: model for model in _MODELS}

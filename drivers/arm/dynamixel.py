@@ -198,7 +198,7 @@ class DynamixelArm:
             state = body.state()
             check_start(body, trajectory, state)
             if stop_requested():
-                return MoveReport(False, state, 0.0)
+                return MoveReport(False, state)
             with body.watched():
                 errands: list[tuple[float, Callable[[], object]]] = []
                 if opening is not None:

@@ -113,7 +113,6 @@ class Follower:
         self._present = state.positions.copy()
         self._speeds = np.abs(state.velocities)
         self._astray = np.zeros(len(body.joints), np.int64)
-        self._worst = 0.0
         self._failure: ArmError | None = None
 
     def stands(self) -> bool:
@@ -189,7 +188,7 @@ class Follower:
             joint = self._body.joints[int(off.argmax())]
             cause = f"ends {np.degrees(off.max()):.0f} deg off its goal"
             raise MotionTimeout(joint.title, self._trajectory.name, cause, "clear the way, then reset")
-        return MoveReport(self._progress.at_end, state, self._worst)
+        return MoveReport(self._progress.at_end, state)
 
     def _look(self) -> bool:
         """Take the servos' feedback in and judge it; True when every joint has answered."""
@@ -215,7 +214,6 @@ class Follower:
             self._jaws = opening_from_angle(self._body.description.gripper, jaw.position)
         error = np.abs(self._present - self._progress.positions)
         largest = float(error.max())
-        self._worst = max(self._worst, largest)
         if largest > FOLLOWING_LIMIT:
             self._astray = np.where(error > FOLLOWING_LIMIT, self._astray + 1, 0)
         else:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from controller.config.arm import load_arm
@@ -9,9 +10,11 @@ from controller.config.cell import load_cell
 from controller.config.files import shipped
 from controller.config.taught import load_taught, moved, save_taught, with_taught
 from controller.cycle.preflight import check
+from controller.domain import Shape
 from controller.errors import ConfigError
 from controller.motion.planner import Planner
 from controller.service.manual import by_ruler
+from tests.unit.motion.scene import part
 
 CELL = load_cell(shipped("sim.toml"))
 SQUARES, RECTANGLES = (next(bin_ for bin_ in CELL.bins if bin_.name == name) for name in ("squares", "rectangles"))
@@ -44,5 +47,7 @@ def test_the_cell_of_every_arm_is_within_its_reach(path: Path) -> None:
     planner = Planner(arm, by_ruler(cell), cell.bin_values())
     assert check(cell, arm, planner) == []
     area = cell.table.work_area
+    bin_ = cell.bin_values()[0]
     for radius in (area.inner_radius_mm, area.outer_radius_mm):
-        assert planner.reach_error((radius - cell.table.origin_in_base_mm[0], 0.0), 19.0) is None
+        disc = part(Shape.CIRCLE, 40.0, (radius - cell.table.origin_in_base_mm[0], 0.0))
+        planner.plan_pick(disc, (), bin_, bin_.center, np.array(arm.ready))

@@ -109,7 +109,8 @@ def test_goals_lead_and_hold_the_arm_up() -> None:
     end = plain.positions[-1]
     stiffness = np.array([j.dynamics.stiffness for j in RX150.joints])
     for move, extra, mass in ((plain, 0.0 * offsets, 0.0), (held, offsets, 0.05)):
-        sag = dynamics.holding_torque(RX150, end, mass) / stiffness
+        still = np.zeros((1, len(end)))
+        sag = dynamics.torque(RX150, end[None], still, still, mass)[0] / stiffness
         assert move.goals[-1] - extra == pytest.approx(end + sag, abs=1e-4)
     assert not held.positions.flags.writeable
 

@@ -60,13 +60,13 @@ class Drooping:
             raise ArmError("arm", trajectory.name, "a joint is blocked")
         self.log.append(trajectory.name)
         if self.stopped:
-            return MoveReport(False, self.state(), 0.0)
+            return MoveReport(False, self.state())
         # What the model adds to the goals carries the weight it knows of.
         if trajectory.name != "settle":
             self.carried = trajectory.goals[-1] - trajectory.positions[-1] - ADDED
         self.told = trajectory.goals[-1]
         self.q = self.told - self.carried - self.droop
-        return MoveReport(True, self.state(), 0.0)
+        return MoveReport(True, self.state())
 
 
 def work(arm: Any, *, stopped: bool = False, failing: bool = False, settle: bool = False) -> Array:
