@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from controller.domain import Shape
 from controller.errors import NoClearGrasp
 from controller.geometry import angle_difference
-from controller.motion import grasps
+from controller.motion import grasps, holds
 from tests.unit.motion.scene import PARTS, RX150, at, bins, jaw_sweeps, part, polygon_gap, scatter
 
 NOTHING = np.empty((0, 2))
@@ -21,7 +21,7 @@ JAW = RX150.gripper.jaw_size[1]
 @pytest.mark.parametrize("yaw_deg", [0.0, 17.0, 63.0, 149.0])
 def test_parallel_flats_come_first_and_the_width_is_theirs(shape: Shape, yaw_deg: float) -> None:
     thing = part(shape, 36.0, (0.0, 0.0), math.radians(yaw_deg))
-    best = grasps.choose(thing, grasps.sides(thing), RX150.gripper, NOTHING)[0].grasp
+    best = grasps.choose(thing, holds.sides(thing), RX150.gripper, NOTHING)[0].grasp
     assert best.width == pytest.approx(36.0, abs=1e-4)
     assert best.center == pytest.approx((0.0, 0.0), abs=1e-4)
     # 5 mm a side and the localisation's sigma twice.
@@ -30,7 +30,7 @@ def test_parallel_flats_come_first_and_the_width_is_theirs(shape: Shape, yaw_deg
 
 def test_a_triangle_is_held_by_a_side_and_its_corner_touching_together() -> None:
     thing = part(Shape.TRIANGLE, 40.0, (10.0, 20.0), 0.3)
-    for choice in grasps.choose(thing, grasps.sides(thing), RX150.gripper, NOTHING):
+    for choice in grasps.choose(thing, holds.sides(thing), RX150.gripper, NOTHING):
         grasp = choice.grasp
         axis = np.array([math.cos(grasp.direction), math.sin(grasp.direction)])
         along = (thing.footprint - np.array(grasp.center)) @ axis
@@ -43,12 +43,12 @@ def test_what_does_not_fit_the_jaws_is_refused() -> None:
     wide, narrow = part(Shape.CIRCLE, 72.0, (0.0, 0.0)), part(Shape.CIRCLE, 24.0, (0.0, 0.0))
     for thing in (wide, narrow):
         with pytest.raises(NoClearGrasp, match="does not suit jaws"):
-            grasps.choose(thing, grasps.sides(thing), RX150.gripper, NOTHING)
+            grasps.choose(thing, holds.sides(thing), RX150.gripper, NOTHING)
 
 
 def test_a_long_rectangle_is_taken_across() -> None:
     thing = part(Shape.RECTANGLE, 40.0, (0.0, 0.0), 0.5)
-    choices = grasps.choose(thing, grasps.sides(thing), RX150.gripper, NOTHING)
+    choices = grasps.choose(thing, holds.sides(thing), RX150.gripper, NOTHING)
     assert choices[0].grasp.direction == pytest.approx(0.5 + math.pi / 2)
 
 
@@ -56,7 +56,7 @@ def test_a_neighbour_turns_the_grasp() -> None:
     thing = part(Shape.SQUARE, 36.0, (0.0, 0.0))
     beside = part(Shape.SQUARE, 36.0, (42.0, 0.0))
     blocked = grasps.obstacles([beside], (), thing.center, 100.0)
-    best = grasps.choose(thing, grasps.sides(thing), RX150.gripper, blocked)[0].grasp
+    best = grasps.choose(thing, holds.sides(thing), RX150.gripper, blocked)[0].grasp
     assert best.direction == pytest.approx(math.pi / 2)
 
 
@@ -65,7 +65,7 @@ def test_a_part_boxed_in_has_no_grasp() -> None:
     around = [part(Shape.SQUARE, 36.0, place) for place in ((42.0, 0.0), (-42.0, 0.0), (0.0, 42.0), (0.0, -42.0))]
     blocked = grasps.obstacles(around, (), thing.center, 100.0)
     with pytest.raises(NoClearGrasp, match="no room"):
-        grasps.choose(thing, grasps.sides(thing), RX150.gripper, blocked)
+        grasps.choose(thing, holds.sides(thing), RX150.gripper, blocked)
 
 
 def test_a_tight_place_is_entered_less_wide_open() -> None:
@@ -73,7 +73,7 @@ def test_a_tight_place_is_entered_less_wide_open() -> None:
     # 14 mm from the part's sides: 8 mm of jaw and 2.5 mm of margin fit, 5 mm do not.
     walls = [part(Shape.SQUARE, 30.0, place) for place in ((46.5, 0.0), (-46.5, 0.0), (0.0, 46.5), (0.0, -46.5))]
     blocked = grasps.obstacles(walls, (), thing.center, 100.0)
-    best = grasps.choose(thing, grasps.sides(thing), RX150.gripper, blocked)[0].grasp
+    best = grasps.choose(thing, holds.sides(thing), RX150.gripper, blocked)[0].grasp
     assert best.opening == pytest.approx(36.0 + 2 * 2.5 + 2 * 0.3, abs=1e-4)
 
 
@@ -85,7 +85,7 @@ def test_the_swept_jaws_touch_nothing(seed: int, count: int) -> None:
     target, others = things[0], things[1:]
     blocked = grasps.obstacles(others, bins(), target.center, 200.0)
     try:
-        choices = grasps.choose(target, grasps.sides(target), RX150.gripper, blocked)
+        choices = grasps.choose(target, holds.sides(target), RX150.gripper, blocked)
     except NoClearGrasp:
         return
     for choice in choices:
@@ -125,7 +125,7 @@ def test_where_the_jaws_came_down_on_something_they_do_so_once() -> None:
 def test_the_jaws_stay_over_the_table_and_around_the_part() -> None:
     for height in (3.0, 10.0, 25.0):
         thing = part(Shape.SQUARE, 40.0, (0.0, 0.0), height=height)
-        grasp = grasps.choose(thing, grasps.sides(thing), RX150.gripper, NOTHING)[0].grasp
+        grasp = grasps.choose(thing, holds.sides(thing), RX150.gripper, NOTHING)[0].grasp
         tips = grasp.height - RX150.gripper.jaw_depth
         assert 0.0 < tips <= min(4.0, height / 2)
 
@@ -133,15 +133,15 @@ def test_the_jaws_stay_over_the_table_and_around_the_part() -> None:
 def test_four_joints_take_what_lies_favourably() -> None:
     tangential = math.pi / 2
     for shape in PARTS:
-        assert grasps.fixed_side(part(shape, 40.0, at(200.0, 0.0), 0.0), tangential, JAW) is not None
-    straight = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.0), tangential, JAW)
-    oblique = grasps.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.4), tangential, JAW)
+        assert holds.fixed_side(part(shape, 40.0, at(200.0, 0.0), 0.0), tangential, JAW) is not None
+    straight = holds.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.0), tangential, JAW)
+    oblique = holds.fixed_side(part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.4), tangential, JAW)
     assert straight is not None
     assert oblique is not None
     assert oblique.quality < straight.quality
     cornered = part(Shape.SQUARE, 40.0, at(200.0, 0.0), 0.7)
-    assert grasps.fixed_side(cornered, tangential, JAW) is None
-    assert grasps.fixed_side(cornered, tangential, JAW, corners=True) is not None
+    assert holds.fixed_side(cornered, tangential, JAW) is None
+    assert holds.fixed_side(cornered, tangential, JAW, corners=True) is not None
 
 
 @given(
@@ -154,9 +154,9 @@ def test_no_corner_of_what_lies_askew_comes_near_the_edge_of_a_jaw(
     shape: Shape, yaw: float, turn: float, across: float
 ) -> None:
     thing = part(shape, across, (10.0, 20.0), yaw)
-    straight = grasps.fixed_side(thing, yaw + math.pi / 2 + turn, JAW)
+    straight = holds.fixed_side(thing, yaw + math.pi / 2 + turn, JAW)
     assert straight is not None
-    for side in (straight, *grasps.shifted_sides([straight], thing, JAW)):
+    for side in (straight, *holds.shifted_sides([straight], thing, JAW)):
         axis = np.array([math.cos(side.direction), math.sin(side.direction)])
         away = thing.footprint - np.array(thing.center) - side.shift * np.array([-axis[1], axis[0]])
         along, beside = away @ axis, np.abs(away @ np.array([-axis[1], axis[0]]))
