@@ -25,6 +25,7 @@ from controller.domain import (
 from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
+from controller.motion.ground import Push
 from controller.motion.kinematics import points
 from controller.motion.moves import Moves, first
 from controller.motion.overhead import CLEARANCE, PART_BELOW_TIPS, Overhead
@@ -353,7 +354,7 @@ class Planner:
         return self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
 
     def _nudge(
-        self, target: LocatedObject, push: nudges.Push, others: Sequence[LocatedObject], q0: Array, climb: float
+        self, target: LocatedObject, push: Push, others: Sequence[LocatedObject], q0: Array, climb: float
     ) -> NudgePlan:
         gripper = self.arm.gripper
         opening = gripper.opening[0]
