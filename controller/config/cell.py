@@ -204,6 +204,8 @@ class CycleSection(StrictModel):
     """Simulated time that finding and locating the parts of a picture is charged at; real runs take what they take."""
     planning_budget_s: float = Field(0.02, ge=0.0, le=5.0)
     """Simulated time that planning a pick is charged at."""
+    pushing_budget_s: float = Field(0.3, ge=0.0, le=5.0)
+    """Simulated time that planning a push for the sake of one part is charged at, whether there is one or not."""
 
 
 class LedgerSection(StrictModel):

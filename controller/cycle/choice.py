@@ -157,7 +157,8 @@ class Chooser:
                 plan = planner.plan_nudge(thing, others, outline, start, climb=climb, tried=tried, unsure=unsure)
             except PlanError:
                 continue
-            self._charge()
+            finally:
+                self._rig.clock.charge(self._rig.config.cycle.pushing_budget_s)
             target.nudges += 1
             target.pushed.append((plan.moved.center, plan.by))
             return target, plan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -102,8 +103,9 @@ class Moves:
             return trajectory
 
         clear = self.overhead.between(self.below(q0), self.below(goal))
+        found = itertools.chain(ways.between(self.arm, clear, q0, goal), ways.raised(self.arm, clear, q0, goal))
         try:
-            return first(ways.between(self.arm, clear, q0, goal), made)
+            return first(found, made)
         except LimitViolation as error:
             raise LimitViolation(error.cause, _FREE_IT) from error
 

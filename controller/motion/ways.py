@@ -49,6 +49,13 @@ def between(arm: ArmDescription, clear: float, q0: Array, goal: Array) -> Iterat
             [(5.0, CORNER / 2.0), (CORNER / 2.0, 5.0)],
         )
     yield [line(arm, q0, goal)], []
+
+
+def raised(arm: ArmDescription, clear: float, q0: Array, goal: Array) -> Iterator[Way]:
+    """Ways for an arm that has sunk, limp, to where neither straight up nor straight to the goal is free.
+
+    Arguments as for `between`.
+    """
     for out in islice(_raised(arm, clear, q0), _TRIES):
         first, second = next(_tucked(arm, q0[0], goal[0]))
         yield (
@@ -77,10 +84,7 @@ def _tucked(arm: ArmDescription, waist: float, goal: float) -> Iterator[tuple[Ar
 
 
 def _raised(arm: ArmDescription, clear: float, q0: Array) -> Iterator[Array]:
-    """Poses (J,) over everything at a pose's own waist angle and roll, the soonest reached first.
-
-    For an arm that has sunk, limp, to where neither straight up nor straight home is free.
-    """
+    """Poses (J,) over everything at a pose's own waist angle and roll, the soonest reached first."""
     c = chain(arm)
     steps = [np.linspace(c.low[joint] + _INSIDE, c.high[joint] - _INSIDE, _ANGLES) for joint in (1, 2, 3)]
     poses = np.tile(q0, (_ANGLES**3, 1))
