@@ -24,7 +24,7 @@ from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE, area
 from controller.vision.silhouette import to_feet
 from controller.vision.timing import Stopwatch
-from controller.vision.trial import HALF_SEEN, lies_on, settled, tried, typical_blur
+from controller.vision.trial import HALF_SEEN, THIN, lies_on, settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
@@ -46,6 +46,8 @@ _SAME = 0.03
 """Share of their size by which the places and sizes of outlines differ that are one."""
 _NECKED = 0.93
 """Area over the hull's, below which a region may be several touching parts."""
+_HEAPED = 0.3
+"""Share of a region that several settled outlines fill when it is these parts and what lies between them."""
 
 
 def open_objects(
@@ -67,6 +69,7 @@ def open_objects(
         return scene, []
     shape = scene.white.difference.shape
     share = _COPY if scene.sides else 3.0 * _COPY
+    regions = [item for item in regions if not _sliver(item, scene.settings.smallest_px / scene.factor)]
     regions = _distinct(_stepped(scene, regions), shape, _COPY)
     # First what stands out clearly; the costlier guesses only where that left something open.
     plain = [
@@ -85,9 +88,11 @@ def open_objects(
     rest = [item for item in later if not done.explains(item.contour)]
     pieces = _stepped(scene, [piece for item in open_ for piece in split_necks(item, smallest)])
     pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
+    heaps = [item for item in pieces if scene.sides and done.fills(item.contour, _HEAPED)]
+    pieces = [item for item in pieces if item not in heaps]
     certain = [item for item in judged if whole(item)]
     scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), certain, watch)
-    return scene, [*judged, *more]
+    return scene.with_regions([*scene.regions, *heaps], scene.maps), [*judged, *more]
 
 
 def _round(
@@ -145,6 +150,11 @@ def _stepped(scene: Scene, regions: list[Region]) -> list[Region]:
         return []
     clear = _steps(scene.white, regions) > _FAINT * scene.settings.minimum_contrast
     return [item for item, use in zip(regions, clear.tolist(), strict=True) if use]
+
+
+def _sliver(item: Region, smallest: float) -> bool:
+    """Whether a hull of edges is a piece of one edge: narrower than objects whose smallest width is given, px."""
+    return item.cue == "edge" and min(cv2.minAreaRect(item.contour)[1]) + 1.0 < THIN * smallest
 
 
 def _steps(white: Whitened, regions: Sequence[Region]) -> Floats:

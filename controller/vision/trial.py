@@ -40,7 +40,7 @@ a chunk sees part of their edge when they are narrower than its profile."""
 _GROWN, _AROUND = 1.6, 8.0
 """How many times the box of a settled outline the box of a contour may hold that shows the same, and by how many pixels
 of the searched image it may be wider, half of them on either side: its blur and shadow."""
-_THIN = 0.55
+THIN = 0.55
 """Short side of the smallest object over its width: the smallest circle and a slim rectangle of its area."""
 
 
@@ -113,7 +113,7 @@ def _judged(
         for item, share, covered, outline in zip(
             shown, shares, areas(batch.kind, batch.q).tolist(), _outlines(maps, batch), strict=True
         )
-        if np.isfinite(outline).all() and _width(outline) >= _THIN * settings.smallest_px
+        if np.isfinite(outline).all() and _width(outline) >= THIN * settings.smallest_px
     ]
     outlines = [outline for *_, outline in kept]
     out: list[Judged | None] = [None] * len(wanted)
@@ -192,6 +192,16 @@ class Settled:
         owner = self.owner[np.minimum(row, rows - 1), np.minimum(column, columns - 1)]
         own = self.size[owner]
         return np.asarray((owner == 0) | (w * h >= 1.6 * own[:, 0] * own[:, 1] + 8.0 * own.sum(axis=1)))
+
+    def fills(self, contour: NDArray[np.float32], share: float) -> bool:
+        """Whether several of the outlines fill more than a share of a contour (N, 2)."""
+        x, y, w, h = cv2.boundingRect(contour)
+        rows, columns = slice(max(y, 0), max(y + h, 0)), slice(max(x, 0), max(x + w, 0))
+        owner = self.owner[rows, columns]
+        inside = np.zeros(owner.shape, np.uint8)
+        cv2.fillPoly(inside, [np.rint(contour).astype(np.int32) - (columns.start, rows.start)], (1,))
+        counts = np.bincount(owner[inside > 0], minlength=1)
+        return bool(np.count_nonzero(counts[1:]) > 1 and counts[1:].sum() > share * counts.sum())
 
     def explains(self, contour: NDArray[np.float32]) -> bool:
         """Whether a contour (N, 2) is one of the outlines, or a part of it."""
