@@ -112,25 +112,28 @@ class Silhouettes:
         )  # fmt: skip
 
     def corners(self, parameters: Array) -> tuple[Array, Array]:
-        """Corners (K, 2 V, 2), foot then top, of prisms with parameters (K, 6); their derivatives (K, 2 V, 2, 6)."""
+        """Corners (K, 2 V, 2), foot then top, of prisms with parameters (K, 6); their derivatives (K, 2, 2 V, 6)."""
         count, half = self.unit.shape[:2]
         c, s = np.cos(parameters[:, 2]), np.sin(parameters[:, 2])
-        turn = np.stack([c, -s, s, c], axis=1).reshape(count, 1, 2, 2)
+        turn = np.stack([c, -s, s, c], axis=1).reshape(count, 2, 2)
         turned = np.stack([-s, -c, c, -s], axis=1).reshape(count, 2, 2)
         local = (self.unit @ parameters[:, None, 3:5, None])[..., 0]
         points = np.zeros((count, 2 * half, 3))
-        points[:, :half, :2] = points[:, half:, :2] = local @ turn[:, 0].transpose(0, 2, 1) + parameters[:, None, :2]
+        points[:, :half, :2] = points[:, half:, :2] = local @ turn.transpose(0, 2, 1) + parameters[:, None, :2]
         points[:, half:, 2] = parameters[:, None, 5]
-        slopes = np.zeros((count, 2 * half, 3, _PARAMETERS))
-        slopes[:, :, 0, 0] = slopes[:, :, 1, 1] = slopes[:, half:, 2, 5] = 1.0
+        # The coordinates come first: one product maps them for all corners.
+        slopes = np.zeros((count, 3, 2 * half, _PARAMETERS))
+        slopes[:, 0, :, 0] = slopes[:, 1, :, 1] = slopes[:, 2, half:, 5] = 1.0
         if not self.smooth:
-            slopes[:, :half, :2, 2] = slopes[:, half:, :2, 2] = local @ turned.transpose(0, 2, 1)
-        slopes[:, :half, :2, 3:5] = slopes[:, half:, :2, 3:5] = turn @ self.unit
+            slopes[:, :2, :half, 2] = slopes[:, :2, half:, 2] = turned @ local.transpose(0, 2, 1)
+        wider = (turn @ self.unit.transpose(0, 2, 1, 3).reshape(count, 2, -1)).reshape(count, 2, half, 2)
+        slopes[:, :2, :half, 3:5] = slopes[:, :2, half:, 3:5] = wider
         seen = points @ self.matrix.transpose(0, 2, 1) + self.offset[:, None]
         inverse = 1.0 / seen[..., 2:]
         flat = seen[..., :2] * inverse
-        moved = self.matrix[:, None] @ slopes
-        return flat, (moved[:, :, :2] - flat[..., None] * moved[:, :, 2:]) * inverse[..., None]
+        moved = (self.matrix @ slopes.reshape(count, 3, -1)).reshape(slopes.shape)
+        across = flat.transpose(0, 2, 1)[..., None]
+        return flat, (moved[:, :2] - across * moved[:, 2:]) * inverse.transpose(0, 2, 1)[..., None]
 
     def compare(self, parameters: Array) -> tuple[Array, Array, Rows, NDArray[np.bool_]]:
         """Points against the silhouettes of prisms with parameters (K, 6).
@@ -153,8 +156,9 @@ class Silhouettes:
         reach = length[row, edge]
         place = np.vecdot(self.points - start[row, edge], along[row, edge])
         share = np.minimum(np.maximum(place / reach, 0.0), 1.0)
-        from_a = (normal[:, :, None] @ slopes[row, begin])[:, :, 0]
-        onwards = (normal[:, :, None] @ slopes[row, end])[:, :, 0] - from_a
+        x, y = normal[..., :1], normal[..., 1:]
+        from_a = x * slopes[row, 0, begin] + y * slopes[row, 1, begin]
+        onwards = x * slopes[row, 0, end] + y * slopes[row, 1, end] - from_a
         # d(point - silhouette) = -normal . d(silhouette); the fit moves the silhouette towards the points.
         jacobian = from_a[row, edge] + share[..., None] * onwards[row, edge]
         if self.smooth:

@@ -152,7 +152,8 @@ def _hardly(strength: Floats32, hull: Floats32, most: float) -> bool:
     if x < 2 or y < 2 or x + w > strength.shape[1] - 2 or y + h > strength.shape[0] - 2:
         return False
     inside = cv2.fillConvexPoly(np.zeros((h, w), np.uint8), np.rint(hull).astype(np.int32) - (x, y), (1,))
-    return float(np.median(strength[y : y + h, x : x + w][inside > 0])) < most
+    low = cv2.threshold(strength[y : y + h, x : x + w], most, 1.0, cv2.THRESH_BINARY_INV)[1].astype(np.uint8)
+    return 2 * cv2.countNonZero(low & inside) > cv2.countNonZero(inside)
 
 
 def _typical(edges: Floats32, visible: Mask | None) -> float:
@@ -298,7 +299,7 @@ def split_necks(region: Region, smallest: float, depth: int = 2) -> list[Region]
     if defects is None:
         return []
     size = np.sqrt(region.area)
-    points = [int(d[2]) for d in defects[:, 0] if d[3] / 256.0 > max(1.2, 0.03 * size)]
+    points = defects[defects[:, 0, 3] > 256.0 * max(1.2, 0.03 * size), 0, 2].tolist()
     pieces: list[Region] = []
     cuts = []
     n = len(contour)

@@ -206,8 +206,6 @@ def shared(a: Judged, b: Judged) -> float:
 
 def overlap(a: Floats, b: Floats) -> float:
     """Area shared by two convex outlines over the smaller one's."""
-    if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
-        return 0.0
     pa, pb = a.astype(np.float32), b.astype(np.float32)
     areas = abs(cv2.contourArea(pa)), abs(cv2.contourArea(pb))
     common, _ = cv2.intersectConvexConvex(pa, pb)

@@ -24,7 +24,7 @@ from controller.vision.scene import Judged, Scene, all_sampled, whole
 from controller.vision.shapes import CIRCLE, area
 from controller.vision.silhouette import to_feet
 from controller.vision.timing import Stopwatch
-from controller.vision.trial import HALF_SEEN, THIN, lies_on, settled, tried, typical_blur
+from controller.vision.trial import HALF_SEEN, THIN, Settled, lies_on, settled, tried, typical_blur
 
 Floats = NDArray[np.float64]
 
@@ -83,16 +83,21 @@ def open_objects(
     done = settled([*clear, *judged], scene)
     # A part that touches a larger one may lie within what that seems to explain.
     open_ = [
-        item for item in first if item.cue != "zone" and (item.convex < _NECKED or not done.explains(item.contour))
-    ]
-    rest = [item for item in later if not done.explains(item.contour)]
+        item for item, known in zip(first, done.explained(first), strict=True)
+        if item.cue != "zone" and (item.convex < _NECKED or not known)
+    ]  # fmt: skip
     pieces = _stepped(scene, [piece for item in open_ for piece in split_necks(item, smallest)])
-    pieces = [item for item in _distinct([*rest, *pieces], shape, share) if not done.explains(item.contour)]
-    heaps = [item for item in pieces if scene.sides and done.fills(item.contour, _HEAPED)]
+    pieces = _unknown(_distinct([*_unknown(later, done), *pieces], shape, share), done)
+    heaps = [item for item in pieces if scene.sides and done.fills(item, _HEAPED)]
     pieces = [item for item in pieces if item not in heaps]
     certain = [item for item in judged if whole(item)]
     scene, _, more = _round(scene, pieces, typical_blur([*clear, *judged], blur), certain, watch)
     return scene.with_regions([*scene.regions, *heaps], scene.maps), [*judged, *more]
+
+
+def _unknown(regions: Sequence[Region], done: Settled) -> list[Region]:
+    """The regions that settled outlines leave open."""
+    return [item for item, known in zip(regions, done.explained(regions), strict=True) if not known]
 
 
 def _round(
@@ -193,7 +198,7 @@ def _refined(
         done = {j.hypothesis.region for j in judged if j.badness < _GOOD}
         if rank and not scene.sides:
             clear = settled(judged, scene)
-            done |= {i for i, item in enumerate(scene.regions) if clear.explains(item.contour)}
+            done |= set(np.flatnonzero(clear.explained(scene.regions)).tolist())
         options = sorted((o for o in fits if len(o) > rank and o[rank].region not in done), key=lambda o: o[rank].cost)
         wanted = [
             o[rank] for o in options
@@ -253,6 +258,8 @@ def _coincide(a: Judged, b: Judged) -> bool:
 
 def _lies(maps: LocalMaps, h: Hypothesis, certain: Sequence[Judged]) -> bool:
     """`lies_on` of a hypothesis."""
+    if not certain:
+        return False
     x, y = maps.to_pixels(h.region, h.q[None, :2])[0].tolist()
     return lies_on(x, y, h.size**2, certain)
 

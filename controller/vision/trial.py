@@ -16,6 +16,7 @@ from controller.vision.fitting import Hypothesis
 from controller.vision.local_map import LocalMaps
 from controller.vision.padded import KINDS, ROUND, areas
 from controller.vision.profiles import CHUNKS
+from controller.vision.proposals import Region
 from controller.vision.refine import Refined, open_sided, refine, refine_on
 from controller.vision.robust import median
 from controller.vision.scene import CLOSE, Judged, Scene, all_sampled, boxes, whole
@@ -193,19 +194,20 @@ class Settled:
         own = self.size[owner]
         return np.asarray((owner == 0) | (w * h >= 1.6 * own[:, 0] * own[:, 1] + 8.0 * own.sum(axis=1)))
 
-    def fills(self, contour: NDArray[np.float32], share: float) -> bool:
-        """Whether several of the outlines fill more than a share of a contour (N, 2)."""
-        x, y, w, h = cv2.boundingRect(contour)
+    def fills(self, region: Region, share: float) -> bool:
+        """Whether several of the outlines fill more than a share of a region."""
+        x, y, w, h = cv2.boundingRect(region.contour)
         rows, columns = slice(max(y, 0), max(y + h, 0)), slice(max(x, 0), max(x + w, 0))
         owner = self.owner[rows, columns]
         inside = np.zeros(owner.shape, np.uint8)
-        cv2.fillPoly(inside, [np.rint(contour).astype(np.int32) - (columns.start, rows.start)], (1,))
+        cv2.fillPoly(inside, [np.rint(region.contour).astype(np.int32) - (columns.start, rows.start)], (1,))
         counts = np.bincount(owner[inside > 0], minlength=1)
         return bool(np.count_nonzero(counts[1:]) > 1 and counts[1:].sum() > share * counts.sum())
 
-    def explains(self, contour: NDArray[np.float32]) -> bool:
-        """Whether a contour (N, 2) is one of the outlines, or a part of it."""
-        return not self.unexplained(np.array([cv2.boundingRect(contour)], np.int32))[0]
+    def explained(self, regions: Sequence[Region]) -> list[bool]:
+        """Which regions are one of the outlines, or a part of it."""
+        boxes = np.array([cv2.boundingRect(item.contour) for item in regions], np.int32).reshape(-1, 4)
+        return np.logical_not(self.unexplained(boxes)).tolist()
 
 
 def settled(judged: Sequence[Judged], scene: Scene) -> Settled:

@@ -219,7 +219,7 @@ def test_derivatives_of_the_silhouette_agree_with_differences(shape: Shape) -> N
         step[0, index] = 1e-4
         difference = (model.corners(at + step)[0] - model.corners(at - step)[0]) / 2e-4
         # Central differences of a smooth function in double precision.
-        assert np.allclose(difference, slopes[..., index], atol=1e-5)
+        assert np.allclose(difference, slopes[..., index].transpose(0, 2, 1), atol=1e-5)
 
 
 def test_parts_located_together_lie_where_each_lies_alone() -> None:
