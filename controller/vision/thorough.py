@@ -206,7 +206,8 @@ def _refined(
         ]  # fmt: skip
         if scene.sides:
             cores = [h for h in wanted if scene.regions[h.region].core]
-            wanted += [top for top in _tops(scene, [*cores, *_silhouettes(judged, certain)]) if tried_before.first(top)]
+            tops = [*_tops(scene, cores), *_tops_within(scene, judged, certain)]
+            wanted += [top for top in tops if tried_before.first(top)]
         judged += tried(scene, wanted, blur, certain)
         blur = typical_blur(judged, blur)
     return judged
@@ -228,26 +229,37 @@ class _Tried:
         self._known: list[tuple[float, float, Hypothesis]] = []
 
     def first(self, h: Hypothesis) -> bool:
-        """Whether a hypothesis is not one of them; then it is from now on. No top face is its own silhouette."""
+        """Whether a hypothesis is not one of them; then it is from now on."""
+        if self.knows(h):
+            return False
+        self._known.append((*(self._maps.centers[h.region] + h.q[:2]).tolist(), h))
+        return True
+
+    def knows(self, h: Hypothesis) -> bool:
+        """Whether a hypothesis is one of them. No top face is its own silhouette."""
         x, y = (self._maps.centers[h.region] + h.q[:2]).tolist()
         for x0, y0, other in self._known:
             own = h.region == other.region and h.top != other.top
             near = abs(x - x0) + abs(y - y0) < _SAME * h.size + 0.5
             if near and not own and h.family is other.family and abs(h.size - other.size) <= _SAME * other.size:
-                return False
-        self._known.append((x, y, h))
-        return True
+                return True
+        return False
 
 
-def _silhouettes(judged: Sequence[Judged], certain: Sequence[Judged]) -> list[Hypothesis]:
-    """Refined outlines that may be silhouettes of parts of which side faces show."""
+def _tops_within(scene: Scene, judged: Sequence[Judged], certain: Sequence[Judged]) -> list[Hypothesis]:
+    """The top faces of refined outlines that may be silhouettes of parts of which side faces show."""
     certain = [*certain, *(j for j in judged if whole(j))]
-    tops = [j for j in judged if j.hypothesis.top]
-    return [
-        replace(j.hypothesis, q=j.refined.q) for j in judged
+    inner = [j for j in judged if j.hypothesis.top]
+    silhouettes = [
+        replace(j.hypothesis, q=j.refined.q, size=math.sqrt(j.area)) for j in judged
         if (whole(j) or ((j.badness < 1.0 or math.isinf(j.badness)) and not lies_on(*_middle(j), j.area, certain)))
-        and not any(_coincide(j, top) for top in tops)
+        and not any(_coincide(j, top) for top in inner)
     ]  # fmt: skip
+    tops, faces = _tops(scene, silhouettes), _Tried(scene.maps)
+    for top in tops:
+        faces.first(top)
+    # What lies where another outline has its top face is that face.
+    return [top for top, outline in zip(tops, silhouettes, strict=True) if not faces.knows(outline)]
 
 
 def _coincide(a: Judged, b: Judged) -> bool:
