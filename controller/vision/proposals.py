@@ -151,9 +151,10 @@ def _hardly(strength: Floats32, hull: Floats32, most: float) -> bool:
     x, y, w, h = cv2.boundingRect(hull)
     if x < 2 or y < 2 or x + w > strength.shape[1] - 2 or y + h > strength.shape[0] - 2:
         return False
-    inside = cv2.fillConvexPoly(np.zeros((h, w), np.uint8), np.rint(hull).astype(np.int32) - (x, y), (1,))
-    low = cv2.threshold(strength[y : y + h, x : x + w], most, 1.0, cv2.THRESH_BINARY_INV)[1].astype(np.uint8)
-    return 2 * cv2.countNonZero(low & inside) > cv2.countNonZero(inside)
+    inside = np.zeros((h, w), np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(hull).astype(np.int32) - (x, y), (1,))
+    low = strength[y : y + h, x : x + w] < most
+    return bool(2 * np.count_nonzero(low & (inside > 0)) > np.count_nonzero(inside))
 
 
 def _typical(edges: Floats32, visible: Mask | None) -> float:

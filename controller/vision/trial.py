@@ -207,7 +207,7 @@ class Settled:
     def explained(self, regions: Sequence[Region]) -> list[bool]:
         """Which regions are one of the outlines, or a part of it."""
         boxes = np.array([cv2.boundingRect(item.contour) for item in regions], np.int32).reshape(-1, 4)
-        return np.logical_not(self.unexplained(boxes)).tolist()
+        return [not new for new in self.unexplained(boxes).tolist()]
 
 
 def settled(judged: Sequence[Judged], scene: Scene) -> Settled:
