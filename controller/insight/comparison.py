@@ -15,6 +15,7 @@ import numpy as np
 
 from controller.domain import Array
 from controller.insight.evaluation import cycle_durations
+from controller.insight.page import text
 from controller.insight.trial import Record
 
 BEYOND_CHANCE = 0.01
@@ -31,7 +32,7 @@ HOW_JUDGED = (
 _EXCHANGES = 4096
 """Exchanges tried; all there are, where twelve pairs or fewer have no more."""
 
-_SETTINGS = ("arm", "level", "parts_per_table", "seeds", "disturb", "pick_proof", "config", "config_digest")
+_SETTINGS = ("arm", "level", "parts_per_table", "seeds", "disturb", "pick_proof", "config")
 """Of the figures of an evaluation: what was run, apart from the configuration's keys."""
 
 
@@ -98,6 +99,11 @@ def _alike(run: Record) -> list[Record]:
     return [item for item in run["seen"] if item["true"] == item["seen"]]
 
 
+def _missed(run: Record) -> tuple[float, float]:
+    missed = len(run["missed"])
+    return missed, missed + len(run["seen"])
+
+
 _MEASURES: tuple[tuple[str, str, Callable[[Record], tuple[float, float]]], ...] = (
     ("in the right bin, of reachable", "%", _counted("correct", "reachable")),
     ("sorted at the first try, of tried", "%", lambda run: (run["figures"]["first_try"], len(run["outcomes"]))),
@@ -112,8 +118,8 @@ _MEASURES: tuple[tuple[str, str, Callable[[Record], tuple[float, float]]], ...] 
     ("attempts", "a part", _counted("attempts")),
     ("pushes to make room for the jaws", "a part", _counted("nudges")),
     ("named rightly, of located", "%", lambda run: (len(_alike(run)), len(run["seen"]))),
-    ("missed by a look, of what lay there", "%", lambda run: (m := len(run["missed"]), m + len(run["seen"]))),
-    ("made up by a look", "a look at a part", lambda run: (run["false"], len(run["seen"]))),
+    ("missed by a look, of what lay there", "%", _missed),
+    ("made up by a look, beside what it located", "%", lambda run: (run["false"], len(run["seen"]))),
     ("error of the located centre", "mm", lambda run: _mean([math.hypot(i["dx"], i["dy"]) for i in run["seen"]])),
     ("error of the orientation", "deg", lambda run: _mean(
         [abs(i["angle_deg"]) for i in run["seen"] if i["angle_deg"] is not None]
@@ -127,12 +133,15 @@ _MEASURES: tuple[tuple[str, str, Callable[[Record], tuple[float, float]]], ...] 
 
 def settings(now: Evaluation, before: Evaluation) -> list[tuple[str, str, str]]:
     """(name, before, now) of all that was set otherwise, the keys of the configuration one by one."""
-    sides = [{key: side.figures.get(key) for key in _SETTINGS} for side in (before, now)]
-    if now.configuration and before.configuration:
-        sides = [side | _flat(of.configuration, "") for side, of in zip(sides, (before, now), strict=True)]
+    kept = bool(now.configuration and before.configuration)
+    keys = _SETTINGS if kept else (*_SETTINGS, "config_digest")
+    sides = [
+        {key: side.figures.get(key) for key in keys} | (_flat(side.configuration, "") if kept else {})
+        for side in (before, now)
+    ]
     names = dict.fromkeys([*sides[0], *sides[1]])
-    rows = [(name, str(sides[0].get(name, "-")), str(sides[1].get(name, "-"))) for name in names]
-    return [row for row in rows if row[1] != row[2]]
+    rows = [(name, *(text(side.get(name)) or "-" for side in sides)) for name in names]
+    return [(name, was, is_) for name, was, is_ in rows if was != is_]
 
 
 def differences(now: Evaluation, before: Evaluation) -> list[Difference]:
