@@ -7,6 +7,7 @@ import pytest
 from controller.config.cell import CellConfig
 from controller.cycle.machine import State
 from controller.domain import LocatedObject, PickPlan, Result, Shape
+from controller.errors import NoClearGrasp
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
 
@@ -201,3 +202,19 @@ def test_a_part_that_was_missed_rests_until_others_are_gone(monkeypatch: pytest.
     assert len(tried) == 2
     last_two = [outcome.target.size[0] for outcome in bench.outcomes][-2:]
     assert 40.0 in last_two
+
+
+def test_looking_for_a_push_in_vain_takes_its_time_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    around = [part(x, y, score=0.0) for x, y in ((43.0, 90.0), (-43.0, 90.0), (0.0, 133.0), (0.0, 47.0))]
+    bench = Bench(monkeypatch, part(0.0, 90.0), *around)
+    bench.change("cycle", pushing_budget_s=4.0)
+    began: list[float] = []
+
+    def in_vain(*_: object, **__: object) -> None:
+        began.append(bench.clock.now())
+        raise NoClearGrasp("no push", "move the parts apart")
+
+    monkeypatch.setattr(Planner, "plan_nudge", in_vain)
+    bench.run()
+    assert len(began) == 2  # what would free it for sure, then what may
+    assert began[1] - began[0] == pytest.approx(4.0)
