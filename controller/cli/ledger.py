@@ -108,7 +108,9 @@ def export(
     outcome: Outcome = None,
     run: Run = None,
     kind: Kind = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Into this file instead of stdout.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Into this file; .json or .jsonl means --json.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line instead of CSV.")] = False,
 ) -> None:
     """Export every record that is asked for, as CSV with a header or as JSON lines.
@@ -116,6 +118,7 @@ def export(
     Example: controller ledger export --since 2026-11-01 --out november.csv
     """
     selection = _selection(of, since, until, class_, bin_, outcome, run, kind)
+    as_json = as_json or (out is not None and out.suffix in (".json", ".jsonl"))
     with LedgerView(ledger_file(db)) as view:
         lines = view.export("jsonl" if as_json else "csv", _name(of), selection)
         if out is None:

@@ -56,7 +56,7 @@ def report(
         print(json.dumps(found))
     else:
         done = found["results"]["placed"] + found["results"]["rejected"]
-        stdout().print(f"{done} of {found['targets']} parts in a bin, {len(found['alarms'])} alarms: {out}")
+        stdout().print(f"{done} of {found['targets']} parts in a bin, alarms: {len(found['alarms'])}; {out}")
 
 
 def add_to(app: typer.Typer) -> None:

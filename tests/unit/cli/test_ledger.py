@@ -96,12 +96,15 @@ def test_a_table_says_when_what_where_and_why(path: Path, capsys: pytest.Capture
     assert said[-1] == "in all 3 targets: 1 placed, 1 grasp_missed, 1 dropped"
 
 
-def test_csv_goes_to_stdout_or_a_file(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_export_goes_to_stdout_or_a_file(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["ledger", "export", str(path)]) == 0
     said = capsys.readouterr().out
     assert [row["result"] for row in csv.DictReader(io.StringIO(said))] == ["placed", "dropped", "grasp_missed"]
     assert execute(["ledger", "export", str(path), "--out", str(tmp_path / "out.csv")]) == 0
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == said
+    assert execute(["ledger", "export", str(path), "--out", str(tmp_path / "out.jsonl")]) == 0
+    lines = (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line)["result"] for line in lines] == ["placed", "dropped", "grasp_missed"]
     assert execute(["ledger", "export", str(path), "--out", str(tmp_path / "none" / "out.csv")]) == 1
 
 
