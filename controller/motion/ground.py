@@ -22,7 +22,8 @@ GAP = 3.0  # mm between the box and the part where the jaws come down, beside th
 TRAVELS = (10.0, 15.0, 20.0, 30.0, 40.0, 55.0)  # mm that a part is pushed, the least that frees the target first
 AREA_MARGIN = 5.0  # mm that a pushed part's middle keeps from the border of the area
 _ASIDE = (0.0, 6.0, -6.0, 18.0, -18.0)  # mm by which the box may push beside the part's middle; one finger by the last
-_HEADINGS = 16
+_HEADINGS = 16  # 22.5 deg apart; more cost time in proportion
+_BROADSIDE = math.sin(math.radians(30.0))  # from so far off the jaws' closing direction on their broad face leads
 _COST_NARROW = 8.0  # mm of travel that a push with the narrow face is worse
 _BORDER_ROOM = 45.0  # mm, half a part and the gripper: nothing is pushed back from nearer to the rim of the reach
 
@@ -98,6 +99,7 @@ class Ground:
         else:
             poses = slide(hull, self.gripper, starts - center, aheads, turns, TRAVELS)
         away = blocked - center
+        # Every second point, 4 mm apart: a hull that keeps 3 mm from each meets nothing between them.
         near = away[np.hypot(*away.T) < float(np.hypot(*hull.T).max()) + TRAVELS[-1] + pushing.BUMP][::2]
         clear = np.logical_and.reduce([pushing.keeps_clear(hull, pose, near) for pose in poses])
         every = []
@@ -131,7 +133,7 @@ class Ground:
         for heading, direction in self._headings(moved):
             ahead = np.array([math.cos(heading), math.sin(heading)])
             left = np.array([-ahead[1], ahead[0]])
-            cost = 0.0 if abs(math.sin(heading - direction)) > 0.5 else _COST_NARROW
+            cost = 0.0 if abs(math.sin(heading - direction)) > _BROADSIDE else _COST_NARROW
             fingers = pushing.finger_edges(self.gripper, direction, ahead, left)
             if self.tangent is not None:
                 # The gripper turns with the waist: where it comes down it stands otherwise than at the part.

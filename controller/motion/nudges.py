@@ -20,7 +20,7 @@ from controller.geometry import angle_difference
 from controller.motion import grasps, pushing
 from controller.motion.ground import TRAVELS, Ground, Push
 
-_NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp
+_NEIGHBOURHOOD = 70.0  # mm between centres within which a part can stand in the way of another's grasp, or push
 SHOVE = 25.0  # mm that a part is pushed to loosen a heap: more than half of a part's width
 _INTO = 0.9  # cosine between such a push and the way to a neighbour, at most: straight into it moves both alike
 _COST_INTO = 20.0  # 45 deg into two of them still parts them best
@@ -232,7 +232,7 @@ class _Scene:
 
 
 def _again(push: Push, lay: Point, by: Point) -> bool:
-    """Whether a push repeats one that has moved nothing, or takes what was pushed back to where it lay."""
+    """Whether a push repeats one that has moved nothing, or takes anything to where what was pushed lay."""
     along = float(np.dot(push.ahead, by)) > _SAME_WAY * math.hypot(*by)
     stays = along and math.dist(push.moved.center, lay) < _SAME_PLACE
     return stays or any(math.dist(end.center, lay) < _BACK for end in push.ends)
