@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 
 from controller.backends import Level
+from controller.cli import keep_memory
 from controller.cli.evaluate_sim import Job, sort_one
 from controller.config.arm import load_arm
 from controller.config.cell import CellConfig, load_cell
@@ -176,6 +177,7 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=5000)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
+    keep_memory()
     config = load_cell(shipped("sim.toml"))
     seeing: list[float] = []
     planned: list[float] = []
