@@ -37,8 +37,8 @@ it, glibc's limit."""
 def keep_memory() -> None:
     """What this process and those it starts free stays theirs for the next picture; only glibc can be told so.
 
-    Otherwise memory goes back to the system at once, and each look at a picture takes thousands of pages anew, every one of
-    which is to be cleared first: on a virtual machine a tenth of the look's time.
+    Otherwise memory goes back to the system at once, and each look at a picture takes thousands of pages anew, every
+    one of which is to be cleared first: on a virtual machine a tenth of the look's time.
 
     Source: mallopt(3).
     """
