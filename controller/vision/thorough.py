@@ -249,6 +249,7 @@ class _Tried:
 def _tops_within(scene: Scene, judged: Sequence[Judged], certain: Sequence[Judged]) -> list[Hypothesis]:
     """The top faces of refined outlines that may be silhouettes of parts of which side faces show."""
     certain = [*certain, *(j for j in judged if whole(j))]
+    # Infinitely bad is what is seen by half: where its sides begin, a silhouette has hardly an edge.
     inner = [j for j in judged if j.hypothesis.top]
     silhouettes = [
         replace(j.hypothesis, q=j.refined.q, size=math.sqrt(j.area)) for j in judged
@@ -314,7 +315,7 @@ def _center(contour: NDArray[np.float32]) -> Floats:
 
 
 def _distinct(regions: list[Region], shape: tuple[int, ...], share: float) -> list[Region]:
-    """Regions without near copies of one another, and without those that fill most of the frame.
+    """Regions without near copies of one another, and without those whose box is more than four fifths of the frame.
 
     Copies are regions whose boxes differ by less than half a pixel and a share of their size, and their areas by no
     more than that: a small part may touch a larger one within its box.
