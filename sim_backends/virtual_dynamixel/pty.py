@@ -193,20 +193,17 @@ class PtyBus:
 
     def _wait(self) -> list[int]:
         """Sleep until bytes or a job arrive, an answer is due, or a tick has passed."""
-        due = self._time + self._offset + TICK
-        if self._replies:
-            due = min(due, self._replies[0][0] - self._awake)
-        timeout = max(0.0, due - time.monotonic())
         watched = [self._wake_out] if self._master < 0 else [self._master, self._wake_out]
-        while (now := time.monotonic()) < self._awake_until:
-            if self._replies and self._replies[0][0] <= now:
+        due = self._replies[0][0] if self._replies else math.inf
+        # A tick is no reason to stay awake: what spins all the way to a distant answer is off the processor by then.
+        while (now := time.monotonic()) >= due - self._awake or now < self._awake_until:
+            if due <= now:
+                self._awake_until = due + self._awake
                 return []
             if readable := select.select(watched, [], [], 0.0)[0]:
                 return readable
-        readable = select.select(watched, [], [], timeout)[0]
-        if not readable and self._replies:
-            self._awake_until = self._replies[0][0] + self._awake
-        return readable
+        wake = min(self._time + self._offset + TICK, due - self._awake)
+        return select.select(watched, [], [], max(0.0, wake - now))[0]
 
     def _follow(self, wall: float) -> None:
         """Let the plant catch up with the wall clock, a short stretch at most."""

@@ -42,15 +42,20 @@ def _fair_threads() -> Iterator[None]:
     sys.setswitchinterval(before)
 
 
+@pytest.fixture
+def awake() -> float:
+    return 0.0
+
+
 @pytest.fixture(params=[57_600, 1_000_000, 4_000_000])
 def baud(request: pytest.FixtureRequest) -> int:
     return int(request.param)
 
 
 @pytest.fixture
-def served(baud: int) -> Iterator[PtyBus]:
+def served(baud: int, awake: float) -> Iterator[PtyBus]:
     specs = [ServoSpec(servo_id, "XM430-W350", (("Return_Delay_Time", 0),)) for servo_id in IDS]
-    with PtyBus(VirtualBus(IdealPlant(IDS), specs, baud=baud)) as served_:
+    with PtyBus(VirtualBus(IdealPlant(IDS), specs, baud=baud), awake=awake) as served_:
         yield served_
 
 
@@ -142,6 +147,21 @@ def test_time_follows_the_wall_clock_and_jobs_run_in_between(served: PtyBus) -> 
     assert later > first
     with pytest.raises(KeyError):
         served.call(lambda: served.bus.servo(99))
+
+
+@pytest.mark.parametrize(("baud", "awake"), [(9_600, 0.0003)], indirect=["baud"])
+def test_a_server_kept_awake_sleeps_while_the_bytes_are_on_the_wire(port: PortHandler, served: PtyBus) -> None:
+    """Spinning all the way to a distant answer uses up a thread's turn, and the answer is then late."""
+    answers = 3
+    port.ser.timeout = 5.0
+    before = served.call(time.thread_time)
+    for _ in range(answers):
+        packets.syncWriteTxOnly(port, 116, 4, [1, 0, 8, 0, 0], 5)  # 19 bytes that nobody answers: 20 ms
+        packets.readTx(port, 1, 132, 4)  # 14 bytes, and the answer's 15: 30 ms
+        assert len(port.ser.read(15)) == 15
+        port.is_using = False
+    # It spins 0.6 ms around an answer and looks at the line every tick: a tenth of the wire's time is plenty.
+    assert served.call(time.thread_time) - before < 0.1 * answers * 0.050
 
 
 @pytest.mark.parametrize("baud", [1_000_000], indirect=True)
