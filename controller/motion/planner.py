@@ -114,7 +114,7 @@ class Planner:
             target: The part.
             others: Everything else on the table, whatever it is.
             bin: Where to put it.
-            drop: (x, y) in `table` where the part's centre is let go, mm.
+            drop: (x, y) in `table` where the part's centre is let go, or as near as it falls on no wall, mm.
             start: ndarray of shape (J,): measured joint angles, rad.
             view: ndarray of shape (N, 2): outline in `table` (mm) that the camera must see after the retreat.
                 When given and the arm hides nothing of it over the bin, the retreat ends there: half a second
@@ -152,10 +152,9 @@ class Planner:
             LimitViolation: The gate refuses the way.
         """
         q0, grasp = self._moves.start(start), plan.grasp
-        rest = (plan.target.center[0] - grasp.center[0], plan.target.center[1] - grasp.center[1])
         clear = max(self._clear(self._moves.below(q0), drop), self._clear(drop))
         held = self._moves.start(plan.carry.positions[0])
-        place = self._postures.drop(bin, drop, grasp, held, rest, self._pile(bin), clear)
+        place = self._postures.drop(bin, drop, (plan.target, grasp), held, self._pile(bin), clear)
         out, inside = stroke(self.arm, place.low, place.rise), self._inside(place, clear)
         rise = clear - points(self.arm, q0)[3, 2]
         down = self._moves.approach(q0, out.reversed(), place.rise - inside, grasp.opening, max(rise, 1.0))
@@ -307,9 +306,8 @@ class Planner:
     ) -> PickPlan:
         there, away = self._clear(self._moves.below(q0), grasp.center), self._clear(grasp.center, drop)
         pick = self._postures.over(grasp.center, grasp.height, None, grasp.direction, max(there, away))
-        rest = (target.center[0] - grasp.center[0], target.center[1] - grasp.center[1])
         clear = max(away, self._clear(drop))
-        place = self._postures.drop(bin, drop, grasp, pick.low, rest, self._pile(bin), clear)
+        place = self._postures.drop(bin, drop, (target, grasp), pick.low, self._pile(bin), clear)
         tall = max([target.height, *(other.height for other in others), 0.0])
         # From here down the jaws are among the parts: exactly vertical.
         straight = min(tall + PART_BELOW_TIPS + self.arm.gripper.jaw_depth - grasp.height + 2.0, pick.rise)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.domain import ArmDescription, Array, Bin, ErrorMap, Grasp, Point
+from controller.domain import ArmDescription, Array, Bin, ErrorMap, Grasp, LocatedObject, Point
 from controller.errors import PlanError, Unreachable
 from controller.geometry import transform
 from controller.motion.gate import WALL_MARGIN, Gate
@@ -124,20 +124,18 @@ class Postures:
         self,
         bin: Bin,
         drop: Point,
-        grasp: Grasp | None,
+        taken: tuple[LocatedObject, Grasp] | None,
         held: Array,
-        rest: Point,
         pile: float | None,
         clear: float | None = None,
     ) -> Stop:
-        """The pose that lets the part go over `drop`, its centre there.
+        """The pose that lets the part go over `drop`, its centre there, or as near as it fits between the walls.
 
         Args:
             bin: The bin.
             drop: (x, y) in `table`, mm.
-            grasp: How the part is held; None: nothing is.
+            taken: The part as it lay, and how it is held; None: nothing is.
             held: ndarray of shape (J,): the posture it was gripped in, rad.
-            rest: Part's centre minus grasp point when it was gripped, `table`, mm.
             pile: Height of what lies in the bin, or None: unknown, up to the brim.
             clear: See `over`.
 
@@ -149,7 +147,7 @@ class Postures:
         if (np.abs(np.array(drop) - bin.center) > half).any():
             raise Unreachable(f"drop ({drop[0]:.0f}, {drop[1]:.0f}) mm lies outside bin {bin.name}", "mend the drop")
         # As wide as the gate judges the way: so far the jaws open when they keep the part at the first try.
-        opening = grasp.opening if grasp is not None else gripper.opening[1]
+        opening = gripper.opening[1] if taken is None else taken[1].opening
         brim = bin.height + WALL_MARGIN + SETTLING
         over = gripper.jaw_depth + max(brim, (pile if pile is not None else bin.height) + PART_BELOW_TIPS + 1.0)
         deep = gripper.jaw_depth + PART_BELOW_TIPS + FALL + (pile if pile is not None else bin.height)
@@ -162,9 +160,8 @@ class Postures:
                 for _ in range(2):
                     # The part hangs beside the grasp point and turns with the tool, which turns with the waist.
                     stop = self.over(place, over, (roll,), clear=clear)
-                    turn = closing_direction(stop.low) - held_yaw
-                    c, s = math.cos(turn), math.sin(turn)
-                    place = (drop[0] - c * rest[0] + s * rest[1], drop[1] - s * rest[0] - c * rest[1])
+                    if taken is not None:
+                        place = _let_go_at(bin, drop, *taken, closing_direction(stop.low) - held_yaw)
                 if deep < over:
                     stop = self.over(place, deep, (roll,), clear=clear)
                 fits = deep < over and self._gate.jaws_inside(bin, stop.low, opening)
@@ -195,7 +192,7 @@ class Postures:
             pile: Height of what lies in it, mm, or None: unknown, up to the brim.
         """
         try:
-            self.drop(bin, bin.center if drop is None else drop, None, np.array(self._arm.ready), (0.0, 0.0), pile)
+            self.drop(bin, bin.center if drop is None else drop, None, np.array(self._arm.ready), pile)
         except PlanError as error:
             return error.cause
         return None
@@ -210,3 +207,29 @@ class Postures:
         azimuth = self.azimuth(drop)
         rolls = [r for k in range(2) for r in roll_for(self._arm, azimuth, self._yaw + k * math.pi / 2)]
         return tuple(rolls) or (0.0,)
+
+
+def between_walls(bin: Bin, drop: Point, outline: Array) -> Point:
+    """The place nearest to `drop` where a part falls on no wall; in the middle of two that it does not fit between.
+
+    A part that comes down on a wall comes to lie over it, where the jaws go for the bin beside.
+
+    Args:
+        bin: The bin, its sides along `table`'s.
+        drop: (x, y) in `table` where the part's centre is wanted, mm.
+        outline: ndarray of shape (N, 2): the part's outline about its centre as it hangs, `table`, mm.
+    """
+    room = np.array(bin.size) / 2.0 - WALL_MARGIN
+    low, high = bin.center - room - outline.min(axis=0), bin.center + room - outline.max(axis=0)
+    middle = (low + high) / 2.0
+    x, y = np.clip(drop, np.minimum(low, middle), np.maximum(high, middle))
+    return float(x), float(y)
+
+
+def _let_go_at(bin: Bin, drop: Point, part: LocatedObject, grasp: Grasp, turn: float) -> Point:
+    """Where in `table` the grasp point lets go of a part that has turned with the tool by `turn`, rad."""
+    c, s = math.cos(turn), math.sin(turn)
+    turned = np.array([[c, s], [-s, c]])
+    x, y = between_walls(bin, drop, (part.footprint - part.center) @ turned)
+    beside = (np.array(part.center) - grasp.center) @ turned
+    return x - float(beside[0]), y - float(beside[1])
