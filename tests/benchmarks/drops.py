@@ -4,7 +4,7 @@ Without an arm: parts of one shape and three sizes are let go one by one where a
 bin that the shipped rules send them to: their sides along the bin's, or anyhow for an arm that cannot turn its wrist.
 Counts what slides over a wall, and what comes to lie over one, where jaws go for the bin beside. 1 when one slides out.
 
-    python -m tests.benchmarks.drops [--arm open_manipulator_x] [--shapes rectangle ...] [--fills N] [--seed N]
+    python -m tests.benchmarks.drops [--arm NAME] [--shapes rectangle ...] [--parts N] [--fills N] [--seed N]
 """
 
 from __future__ import annotations
@@ -95,6 +95,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arm", default="reactorx_150", help="whose cell")
     parser.add_argument("--shapes", nargs="+", type=Shape, default=SHAPES)
+    parser.add_argument("--parts", type=int, help="into a bin; as many as it is said to hold when not given")
     parser.add_argument("--fills", type=int, default=20, help="of the bin, of each shape")
     parser.add_argument("--seed", type=int, default=1000)
     options = parser.parse_args()
@@ -103,14 +104,15 @@ def main() -> int:
     for shape in options.shapes:
         name = config.bin_for(shape, str(shape), GRIPS[1], None)
         bin_ = next(bin_ for bin_ in config.bin_values() if bin_.name == name)
+        count = options.parts or bin_.capacity
         lost = over = 0
         for seed in range(options.seed, options.seed + options.fills):
             rng = np.random.default_rng([seed, SHAPES.index(shape)])
-            out, across = fill(config, bin_, parts_for(config, shape, bin_.capacity, rng), rng, seed)
+            out, across = fill(config, bin_, parts_for(config, shape, count, rng), rng, seed)
             lost, over = lost + out, over + across
         size = f"{bin_.size[0]:g} x {bin_.size[1]:g} x {bin_.height:g} mm"
-        count = options.fills * bin_.capacity
-        print(f"{shape}: {lost} of {count} slid out of a bin of {size}, {over} lie over its walls", flush=True)
+        told = f"{lost} of {options.fills * count} slid out of a bin of {size}, {over} lie over its walls"
+        print(f"{shape}: {told}", flush=True)
         total += lost
     print(f"lost: {total}, wanted 0: {'FAIL' if total else 'pass'}")
     return 1 if total else 0
