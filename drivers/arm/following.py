@@ -51,7 +51,8 @@ def check_trajectory(body: Body, trajectory: Trajectory) -> None:
         LimitViolation: Wrong shape, not a number, or a goal the servos would refuse.
     """
     shape = (len(trajectory.positions), len(body.joints))
-    arrays = (trajectory.positions, trajectory.goals)
+    told = (trajectory.positions, trajectory.goals, trajectory.resting, trajectory.braking)
+    arrays = [array for array in told if array is not None]
     if shape[0] == 0 or any(array.shape != shape for array in arrays) or not trajectory.period > 0.0:
         raise LimitViolation(f"{trajectory.name}: not a trajectory of {len(body.joints)} joints")
     if not all(np.isfinite(array).all() for array in arrays):
@@ -135,7 +136,7 @@ class Follower:
             sent_at = clock.now()
             body.send_goals(progress.goals)
             if self._errands and progress.phase >= self._errands[0][0]:
-                self._errands.pop(0)[1]()
+                self._guard(self._errands.pop(0)[1])
             news = self._look()
             if news and body.listener is not None:
                 body.listener(ServoCycle(sent_at, clock.now(), body.goals, self._present.copy()))
@@ -238,7 +239,7 @@ class Follower:
         if self._body.recheck():
             self._progress.rebase(self._body.goals)
 
-    def _guard(self, action: Callable[[], None]) -> None:
+    def _guard(self, action: Callable[[], object]) -> None:
         """Do it; a failure ends the move, a lost port at once."""
         try:
             action()

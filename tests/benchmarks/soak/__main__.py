@@ -24,6 +24,7 @@ from unittest.mock import patch
 import cv2
 
 from controller.backends import DEVICES, BackendOptions, Devices, Level, Mode
+from controller.cli import keep_memory
 from controller.config.cell import CellConfig, load_cell
 from controller.config.files import shipped
 from controller.domain import ArmDescription
@@ -107,6 +108,7 @@ def main() -> int:
     parser.add_argument("--disturbances-per-hour", type=float, default=60.0)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
+    keep_memory()
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         found = run(

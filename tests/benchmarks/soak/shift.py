@@ -183,15 +183,15 @@ class Soak(Observer):
         assert self.devices.truth is not None
         cell = cast(Any, self.devices.truth).cell
         world = cell.world
-        places = Counter(part.place for part in self.devices.truth.now())
         bins = {bin_.name for bin_ in cell.spec.bins}
-        inside = sum(number for place, number in places.items() if place in bins)
+        outside = [part for part in self.devices.truth.now() if part.place not in bins]
+        inside = len(world.parts) - len(outside)
         sure = self._batch[Result.PLACED] + self._batch[Result.REJECTED]
         unsure = self._batch[Result.DROPPED] + self._batch[Result.INDETERMINATE] + self._batch[Result.ABORTED]
         if not sure <= inside <= sure + unsure:
             self.found.complaints.append(
                 f"at {self._now() - self._began:.0f} s {inside} parts lie in the bins, on record are {sure} placed"
-                f" and {unsure} of which nobody knows"
+                f" and {unsure} of which nobody knows; elsewhere lie {outside}; before: {'; '.join(self._latest)}"
             )
         self._batch.clear()
         self._yardsticks.append(_yardstick())

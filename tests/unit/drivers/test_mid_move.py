@@ -123,6 +123,20 @@ def test_a_silent_servo_stops_the_move() -> None:
         assert bench.plant.now() < 1.2
 
 
+@pytest.mark.safety("SR-27")
+def test_jaws_that_fall_silent_before_they_are_told_to_open_slow_the_arm_down() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        move = a_move(bench, 2.0)
+        bench.later(0.99, lambda: bench.bus.strike(Fault.SILENT, JAW))
+        bench.stream.goals.clear()
+        with pytest.raises(BusError, match="no answer"):
+            arm.follow(move, opening=50.0, after=1.0)
+        steps = np.diff(goals_told(bench)[1])
+    # Of the speed at half of the way, the last goal shows next to nothing.
+    assert steps[-1] < 0.2 * steps.max()
+
+
 @pytest.mark.safety("SR-15")
 def test_a_servo_that_restarts_in_mid_move_ends_it() -> None:
     bench = ArmBench()
@@ -193,6 +207,9 @@ def test_unsafe_trajectories_are_refused() -> None:
         for goals in (nan, far, jump):
             with pytest.raises(LimitViolation):
                 arm.follow(Trajectory("bad", 0.01, good.positions, goals))
+        for told in ({"resting": nan}, {"braking": nan}, {"resting": good.goals[:-1]}):
+            with pytest.raises(LimitViolation):
+                arm.follow(Trajectory("bad", 0.01, good.positions, good.goals, **told))
         with pytest.raises(LimitViolation):
             arm.follow(Trajectory("bad", 0.0, good.positions, good.goals))
         assert len(bench.stream.goals) == before
