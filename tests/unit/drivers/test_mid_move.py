@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -207,9 +208,11 @@ def test_unsafe_trajectories_are_refused() -> None:
         for goals in (nan, far, jump):
             with pytest.raises(LimitViolation):
                 arm.follow(Trajectory("bad", 0.01, good.positions, goals))
-        for told in ({"resting": nan}, {"braking": nan}, {"resting": good.goals[:-1]}):
+        for bad in (nan, good.goals[:-1]):
             with pytest.raises(LimitViolation):
-                arm.follow(Trajectory("bad", 0.01, good.positions, good.goals, **told))
+                arm.follow(replace(good, resting=bad))
+            with pytest.raises(LimitViolation):
+                arm.follow(replace(good, braking=bad))
         with pytest.raises(LimitViolation):
             arm.follow(Trajectory("bad", 0.0, good.positions, good.goals))
         assert len(bench.stream.goals) == before
