@@ -237,8 +237,10 @@ class FaultDirector:
             world.shafts.block(blocked, True)
             self._at(end, lambda: world.shafts.block(blocked, False))
         elif name == "part_lost":
-            for part in world.held:
-                world.loose.lay_back(part)
+            # What slips out of the jaws over a bin falls into it.
+            if not world.over_bin(world.tool_pose()[:3, 3]):
+                for part in world.held:
+                    world.loose.lay_back(part)
         elif name == "grasp_missed":
             nearest = world.loose.nearest_to(world.tool_pose()[:3, 3])
             if nearest is not None:

@@ -82,6 +82,7 @@ class World:
         marker = marker or MarkerMount()
         self.arm = arm
         self.bins = tuple(bins)
+        self._T_table_base = np.linalg.inv(T_base_table)
         self.parts = tuple(parts)
         shape = arm_solids(arm, marker, marker.T_tool_marker if T_tool_marker is None else T_tool_marker)
         boxes = bin_solids(bins, T_base_table)
@@ -164,6 +165,11 @@ class World:
     def body(self, name: str) -> int:
         """Index of a body in a snapshot; `world` is 0."""
         return int(self._model.body(name).id)
+
+    def over_bin(self, point: Array) -> bool:
+        """Whether a point (mm, `base`) is above a bin."""
+        at = (self._T_table_base[:3, :3] @ point + self._T_table_base[:3, 3])[:2]
+        return any((np.abs(at - bin_.center) < np.array(bin_.size) / 2.0).all() for bin_ in self.bins)
 
     def tool_pose(self) -> Array:
         """True pose of the grasp point in `base`, shape (4, 4), mm."""

@@ -196,7 +196,10 @@ class Handlers:
         mistaken = dropped is None and self._rig.pick_proof and self.looker.shows_still(plan.target.detection)
         if mistaken:
             plan = self._divert(target, plan)
-        self._motions.let_go(plan.grasp)
+        before = self._motions.let_go(plan.grasp)
+        if dropped is None and self._rig.pick_proof:
+            # It may have gone while the arm stood over the bin.
+            dropped = proof.lost(before, plan.grasp)
         self._motions.released(plan.retreat, target.located.height)
         self._outcomes.at_work = None
         if dropped is not None:

@@ -12,7 +12,7 @@ from controller.cycle import proof
 from controller.cycle.holding import RELEASES
 from controller.cycle.requests import Interrupted
 from controller.cycle.rig import Rig
-from controller.domain import Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
+from controller.domain import ArmState, Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
 from controller.errors import MotionTimeout, PartHeld
 from controller.motion.grasps import release_opening
 from controller.motion.planner import Planner
@@ -162,17 +162,21 @@ class Motions:
         self.stranded = False
         return arrival
 
-    def let_go(self, grasp: Grasp) -> None:
+    def let_go(self, grasp: Grasp) -> ArmState:
         """Open the jaws a little, and as wide as they came if they keep what is between them.
+
+        Returns:
+            How the arm stood just before.
 
         Raises:
             PartHeld: They still do.
         """
-        opening = release_opening(grasp, self._rig.arm.state().opening)
+        before = self._rig.arm.state()
+        opening = release_opening(grasp, before.opening)
         for _ in range(RELEASES):
             kept = proof.kept(self.grip(opening), grasp)
             if kept is None:
-                return
+                return before
             opening = grasp.opening
         arm = self._rig.arm.description.name
         raise PartHeld(arm, "let go", kept or "", "take the part out of the jaws, then controller resume")

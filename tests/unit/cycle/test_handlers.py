@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from controller.config.cell import CellConfig
+from controller.cycle.looking import Looker
 from controller.cycle.machine import State
-from controller.domain import LocatedObject, PickPlan, Result, Shape
+from controller.domain import Detection, LocatedObject, PickPlan, Result, Shape
 from controller.errors import NoClearGrasp
 from controller.motion.planner import Planner
 from tests.unit.cycle.bench import Bench, moved, part
@@ -91,6 +92,24 @@ def test_a_dropped_part_is_found_again_and_counted_once(monkeypatch: pytest.Monk
     assert bench.outcomes[0].attempts == 2
     assert bench.outcomes[0].target.center == (10.0, 90.0)
     assert sorter.left == 0
+
+
+@pytest.mark.safety("SR-41")
+def test_a_part_lost_while_the_arm_stands_over_its_bin_is_not_counted_as_placed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    lost: list[Detection] = []
+
+    def lose(looker: Looker, taken: Detection) -> bool:
+        if not lost:
+            bench.arm._opening = 32.0
+            lost.append(taken)
+        return False
+
+    monkeypatch.setattr(Looker, "shows_still", lose)
+    bench.run()
+    assert [(o.result, o.attempts) for o in bench.outcomes] == [(Result.PLACED, 2)]
 
 
 def test_a_dropped_part_that_is_nowhere_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

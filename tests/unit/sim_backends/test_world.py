@@ -303,3 +303,13 @@ def test_every_described_arm_can_be_built_and_rests_on_itself(name: str) -> None
     for joint in shadows:
         assert joint.shadow_id is not None
         assert limp.shaft(joint.shadow_id).angle == pytest.approx(-limp.shaft(joint.servo_id).angle)
+
+
+def test_what_is_over_a_bin_is_told_in_base_from_bins_given_in_table() -> None:
+    laid = world(part(Shape.SQUARE, 200.0, 0.0))
+    for bin_ in BINS:
+        x, y = bin_.center[0] + TABLE[0, 3], bin_.center[1]
+        assert laid.over_bin(np.array([x, y, 150.0]))
+        assert laid.over_bin(np.array([x + 44.0, y - 44.0, 150.0]))
+    assert not laid.over_bin(np.array([200.0, 0.0, 150.0]))
+    assert not laid.over_bin(np.array([0.0, 0.0, 150.0]))
