@@ -31,6 +31,9 @@ _DONE = 1e-3  # px of the reduced picture
 # The arm's shadow falls elsewhere in every look: what is only darker by as much is still the same scenery.
 _SHADED = 0.6
 _SAME = 4.0  # of 255: noise and grain of the reduced picture stay below
+# A shadow brings no edges but its own border, and what hangs before the camera brings its own all over: so much steeper
+# than the reference, levels a pixel of the reduced picture, is an edge. Those of a checked cloth have 40.
+_STEEPER = 8.0
 # The share of the still points, those of the strongest edges, by which sharpness is judged: bin walls, not the table's
 # grain or noise.
 _EDGES = 0.01
@@ -136,12 +139,11 @@ class Scenery:
             [gradient_x, gradient_y, gradient_y * x - gradient_x * y, gradient_x * x + gradient_y * y]
         ).astype(np.float64)
         self._wanted = self._reference[points].astype(np.float64)
-        strength = _edge_strength(self._reference)[points]
-        self._edges = np.argsort(strength)[-max(1, round(_EDGES * len(strength))) :]
-        self._strength = strength[self._edges].astype(np.float64)
+        self._steepness = _steepness(self._reference)[points].astype(np.float64)
+        self._edges = np.argsort(self._steepness)[-max(1, round(_EDGES * len(self._steepness))) :]
         normal = self._jacobian.T @ self._jacobian
         self._ridge = np.eye(4) * 1e-6 * float(np.trace(normal))
-        if np.linalg.cond(normal) > 1e6 or self._strength.min() <= 0.0:
+        if np.linalg.cond(normal) > 1e6 or self._steepness[self._edges].min() <= 0.0:
             raise ValueError("the still part of the picture shows nothing to hold on to")
         self._grain = Grain(self._reference, mask)
 
@@ -162,10 +164,10 @@ class Scenery:
         unmoved = self._explained(levelled, nowhere)
         if kept < unmoved + _GAIN:
             move, kept = nowhere, unmoved
-        edges = self._seen(_edge_strength(levelled), move)[self._edges]
-        sharpness = float(np.quantile(edges / self._strength, _SHARPEST))
+        steepness = self._seen(_steepness(levelled), move)
+        sharpness = float(np.quantile(steepness[self._edges] / self._steepness[self._edges], _SHARPEST))
         dx, dy = self._displacement(move)
-        agreement = max(kept, self._shown(levelled, move))
+        agreement = max(kept, self._shown(self._seen(levelled, move), steepness))
         grain = self._grain.correlations(self._undone(picture, move))
         displacement = float(np.sqrt(np.mean(dx**2 + dy**2))) * _SCALE
         change = Change(displacement, agreement, brightness, sharpness, self._grain.kept(grain))
@@ -191,10 +193,10 @@ class Scenery:
         """The part of the still points that look as in the reference after undoing a move."""
         return float(np.mean(np.abs(self._seen(picture, move) - self._wanted) < _SAME))
 
-    def _shown(self, picture: Gray, move: NDArray[np.float64]) -> float:
+    def _shown(self, seen: NDArray[np.float64], steepness: NDArray[np.float64]) -> float:
         """The part of the still pixels that look as in the reference, or as in a shadow."""
-        seen = self._seen(picture, move)
-        return float(np.mean((seen > _SHADED * self._wanted - _SAME) & (seen < self._wanted / _SHADED + _SAME)))
+        shaded = (seen > _SHADED * self._wanted - _SAME) & (seen < self._wanted / _SHADED + _SAME)
+        return float(np.mean(shaded & (steepness < self._steepness + _STEEPER)))
 
     def _undone(self, picture: Gray, move: NDArray[np.float64]) -> Gray:
         """The whole picture with the move undone."""
@@ -223,9 +225,9 @@ class Scenery:
         return np.asarray(seen[:, 0], np.float64)
 
 
-def _edge_strength(picture: Gray) -> Gray:
-    """Length of the gradient, per pixel of the reduced picture."""
-    dx, dy = cv2.Scharr(picture, cv2.CV_32F, 1, 0), cv2.Scharr(picture, cv2.CV_32F, 0, 1)
+def _steepness(picture: Gray) -> Gray:
+    """Length of the gradient, levels a pixel of the reduced picture."""
+    dx, dy = (cv2.Scharr(picture, cv2.CV_32F, *along, scale=1.0 / 32.0) for along in ((1, 0), (0, 1)))
     return np.asarray(cv2.magnitude(dx, dy), np.float32)
 
 

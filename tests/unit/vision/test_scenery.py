@@ -120,6 +120,15 @@ def test_a_covered_view_is_told(scenery: Scenery) -> None:
     assert trouble(scenery.compare(picture)) is not None
 
 
+def test_a_checked_cloth_as_bright_as_the_table_covers_the_view(scenery: Scenery) -> None:
+    picture = scene(2)
+    rows, columns = np.indices((3 * SIZE[1] // 4, SIZE[0])) // 40
+    picture[: 3 * SIZE[1] // 4] = np.where(((rows + columns) % 2)[..., None], 60, 160)
+    found = trouble(scenery.compare(picture))
+    assert found is not None
+    assert found[0] == "covered"
+
+
 def test_another_view_is_told(scenery: Scenery) -> None:
     assert trouble(scenery.compare(scene(2)[::-1, ::-1].copy())) is not None
     assert trouble(scenery.compare(np.zeros((SIZE[1], SIZE[0], 3), np.uint8))) is not None
