@@ -184,8 +184,9 @@ class Soak(Observer):
         cell = cast(Any, self.devices.truth).cell
         world = cell.world
         bins = {bin_.name for bin_ in cell.spec.bins}
-        outside = [part for part in self.devices.truth.now() if part.place not in bins]
-        inside = len(world.parts) - len(outside)
+        parts = self.devices.truth.now()
+        outside = [part for part in parts if part.place not in bins]
+        inside = len(parts) - len(outside)
         sure = self._batch[Result.PLACED] + self._batch[Result.REJECTED]
         unsure = self._batch[Result.DROPPED] + self._batch[Result.INDETERMINATE] + self._batch[Result.ABORTED]
         if not sure <= inside <= sure + unsure:
