@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -20,8 +21,10 @@ from controller.config.cell import CellConfig
 from controller.cycle.guard import ClearView
 from controller.cycle.view import still_mask
 from controller.domain import CellCalibration
-from controller.ports import Camera
+from controller.errors import CameraError
+from controller.ports import Camera, Clock
 from controller.vision.landmarks import Landmarks
+from controller.vision.rim import coarse
 from controller.vision.watch import WatchedCamera
 
 _log = logging.getLogger(__name__)
@@ -86,6 +89,23 @@ def clear_view(calibration: CellCalibration, folder: Path | None) -> ClearView:
         _save(path, np.asarray(np.rint(image), np.uint8))
 
     return ClearView(None if kept is None else np.asarray(kept, np.float32), keep)
+
+
+def look_before_work(view: ClearView, camera: Camera, clock: Clock, timeout: float) -> None:
+    """Learn how the table looks before anything moves, where no earlier start has left that on record.
+
+    A hand that reaches in between this and the first look is no part of the cell. A camera that gives no picture yet
+    is no concern here: the first look will meet it.
+
+    Args:
+        view: Learns it.
+        camera: The cell's.
+        clock: The cell's.
+        timeout: s to wait for a picture.
+    """
+    if view.image is None:
+        with suppress(CameraError):
+            view.learn(coarse(camera.capture(clock.now(), timeout).image))
 
 
 def _save(path: Path, image: NDArray[np.uint8]) -> None:

@@ -41,7 +41,7 @@ from controller.service.failpoints import LedgerWithFailpoints
 from controller.service.faults import FaultRecord
 from controller.service.folders import new_run_folder, state_folder
 from controller.service.lock import InstanceLock
-from controller.service.scenery import clear_view, watch_landmarks, watch_scenery
+from controller.service.scenery import clear_view, look_before_work, watch_landmarks, watch_scenery
 from controller.service.self_calibration import calibrate_cell, device_names
 from controller.service.standing_cell import Standing, StandingCell
 from controller.service.standing_service import Service
@@ -180,6 +180,8 @@ class Session:
                 ledger.note("classes", devices.clock.now(), digest=taught.digest, names=list(taught.classifier.names))
             if recipe.model is not None:
                 ledger.note("model", devices.clock.now(), file=recipe.model.file, sha256=recipe.model.sha256)
+            if self.options.mode is not Mode.REPLAY and sorting:
+                look_before_work(rig.clear_view, rig.camera, rig.clock, self._config.camera.frame_timeout_s)
             began, began_wall = devices.clock.now(), monotonic()
             if service is None:
                 sorter: Sorter | None = self._sort(rig)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from controller.backends import nominal_camera
 from controller.config.cell import load_cell
 from controller.config.files import shipped
+from controller.cycle.guard import ClearView
 from controller.domain import CellCalibration, Frame
-from controller.errors import PictureUnusable
-from controller.service.scenery import clear_view, watch_scenery
+from controller.errors import CameraLost, PictureUnusable
+from controller.service.scenery import clear_view, look_before_work, watch_scenery
 from controller.vision.watch import WatchedCamera
 from sim_backends.virtual_clock import VirtualClock
 
@@ -105,3 +106,23 @@ def test_how_the_table_looks_with_nothing_over_it_outlives_the_program(tmp_path:
 def test_half_a_view_is_none(tmp_path: Path) -> None:
     (tmp_path / "clear-view-first.png").write_bytes(b"\x89PNG")
     assert clear_view(calibrated("first"), tmp_path).image is None
+
+
+@pytest.mark.safety("SR-36")
+def test_what_is_seen_before_the_work_is_the_clear_view_of_a_cell_that_knows_none(table: Image) -> None:
+    clock, view = VirtualClock(), ClearView()
+    look_before_work(view, OnePicture(table, clock, 1), clock, 1.0)
+    known = view.image
+    assert known is not None
+    look_before_work(view, OnePicture(moved(table), clock, 1), clock, 1.0)
+    assert view.image is known
+
+
+def test_a_camera_that_gives_no_picture_before_the_work_leaves_it_to_the_first_look(table: Image) -> None:
+    class Lost(OnePicture):
+        def capture(self, after: float, timeout: float = 2.0) -> Frame:
+            raise CameraLost("/dev/video0", "capture", "unplugged")
+
+    clock, view = VirtualClock(), ClearView()
+    look_before_work(view, Lost(table, clock, 1), clock, 1.0)
+    assert view.image is None
