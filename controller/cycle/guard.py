@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controller.config.cell import CellConfig
 from controller.cycle.view import MARGIN_MM, region_mask
-from controller.domain import CellCalibration, Frame
+from controller.domain import Array, CellCalibration, Frame
 from controller.errors import Intruder
 from controller.geometry import transform
 from controller.localization.locate import Located
@@ -45,6 +45,10 @@ def strip_mask(config: CellConfig, calibration: CellCalibration, size: tuple[int
         if np.isfinite(ends).all():
             cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(ends).astype(np.int32)), (0,))
     return np.asarray(mask, np.uint8)
+
+
+Hidden = Callable[[float], Array]
+"""What of the table the arm hides at a time (s of the cell's clock); see `Planner.hidden`."""
 
 
 class ClearView:
@@ -92,11 +96,15 @@ class Guard:
         self._rim: Rim | None = None
         self._learnt = False
 
-    def check_frame(self, frame: Frame) -> None:
+    def check_frame(self, frame: Frame, hidden: Hidden) -> None:
         """Look for whatever reaches over the table.
 
         The first frame with nothing over the table tells how its rim looks in today's light. Where no earlier start
         has left a clear view to judge it by, that is the first frame.
+
+        Args:
+            frame: What the camera sees.
+            hidden: Tells what the arm hid.
 
         Raises:
             Intruder: Something reaches over the table.
@@ -107,24 +115,34 @@ class Guard:
             inside = region_mask(self._config, self._calibration, frame.size)
             known = self._clear_view.image
             self._rim = Rim(known if known is not None and known.shape == small.shape else small, strip, inside)
-        self._check(small)
+        self._check(small, frame.captured_at, hidden)
         if not self._learnt:
             self._learnt = True
             self._rim.learn(small)
             self._clear_view.learn(small)
 
-    def check_glance(self, glance: Frame) -> None:
+    def check_glance(self, glance: Frame, hidden: Hidden) -> None:
         """Look at a glance as at a frame; nothing is known before the first frame.
 
         Raises:
             Intruder: Something reaches over the table.
         """
-        self._check(glance.image)
+        self._check(glance.image, glance.captured_at, hidden)
 
-    def _check(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> None:
-        if self._rim is not None and self._rim.crossed(small):
+    def _check(self, small: NDArray[np.uint8] | NDArray[np.float32], at: float, hidden: Hidden) -> None:
+        rim = self._rim
+        # Where the arm stands is asked for only when something shows: most looks show nothing.
+        if rim is not None and rim.crossed(small) and rim.crossed(small, self._under(rim, hidden(at))):
             remedy = "clear the view, then controller resume; it is to stay there: stop, then start --view-clear"
             raise Intruder("something reaches over the table", remedy)
+
+    def _under(self, rim: Rim, arm: Array) -> NDArray[np.bool_]:
+        """Which pixels of the strip the arm and what it carries may hide."""
+        at = self._calibration.plane(0.0).to_plane(rim.pixels)
+        under = np.zeros(len(at), bool)
+        for x, y, radius in arm:
+            under |= np.hypot(at[:, 0] - x, at[:, 1] - y) < radius + MARGIN_MM
+        return under
 
     def check_things(self, found: Located) -> None:
         """Look for things that no part can be.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.cycle import proof
+from controller.cycle.guard import Hidden
 from controller.cycle.holding import RELEASES
 from controller.cycle.requests import Interrupted
 from controller.cycle.rig import Rig
@@ -22,6 +23,13 @@ _FALL_MM = 8.0
 
 _CLEAR_STEP = 0.05
 """s between the poses of a move at which the view is judged."""
+
+_BEHIND, _AHEAD = 0.3, 0.1
+"""s by which a moving arm may be behind its plan, from a late start to the wait for its jaws, and ahead of it, by the
+stamp of a picture."""
+
+Watch = Callable[[Hidden], AbstractContextManager[None]]
+"""In force while the arm goes down."""
 
 
 class Motions:
@@ -51,12 +59,10 @@ class Motions:
         self.blocked = False
         self.retreat: Trajectory | None = None
         self.stranded = False
-        self._watch: Callable[[], AbstractContextManager[None]] = nullcontext
+        self._watch: Watch = lambda hidden: nullcontext()
         self._way: tuple[NDArray[np.float64], float, float] = (self.positions[None], 1.0, 0.0)
 
-    def adopt(
-        self, rig: Rig, view: NDArray[np.float64], watch: Callable[[], AbstractContextManager[None]]
-    ) -> None:
+    def adopt(self, rig: Rig, view: NDArray[np.float64], watch: Watch) -> None:
         """Take over a rig with the same arm.
 
         Args:
@@ -157,10 +163,22 @@ class Motions:
         out_of_bin = self.planner.rise_time(approach, self.climb) if self.climb else 0.0
         self.retreat = None
         self.stranded = True
-        with self._watch():
+        with self._watch(self._way_down(approach)):
             arrival = self.follow(approach, opening, out_of_bin)
         self.stranded = False
         return arrival
+
+    def _way_down(self, move: Trajectory) -> Hidden:
+        """What of the table the arm hides, by time, in a move that begins now; see `Planner.hidden`."""
+        began, planner = self._rig.clock.now(), self.planner
+
+        def hidden(at: float) -> NDArray[np.float64]:
+            first, last = (round((at - began + apart) / move.period) for apart in (-_BEHIND, _AHEAD))
+            step = max(round(_CLEAR_STEP / move.period), 1)
+            indices = np.clip(np.arange(first, last + step, step), 0, len(move.positions) - 1)
+            return np.vstack([planner.hidden(move.positions[index]) for index in np.unique(indices)])
+
+        return hidden
 
     def let_go(self, grasp: Grasp) -> ArmState:
         """Open the jaws a little, and as wide as they came if they keep what is between them.

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from controller.cycle.guard import Guard
+from controller.cycle.guard import Guard, Hidden
 from controller.cycle.requests import Interrupted, Requests
 from controller.domain import Frame
 from controller.errors import Intruder
@@ -33,8 +33,11 @@ class Sentry:
         self._alarms: list[Intruder] = []
 
     @contextmanager
-    def on_duty(self) -> Iterator[None]:
+    def on_duty(self, hidden: Hidden) -> Iterator[None]:
         """Watch for as long as this lasts.
+
+        Args:
+            hidden: Tells what the arm hides meanwhile.
 
         Raises:
             Intruder: Something reaches over the table. The arm stands where that was seen, and may be moved again.
@@ -43,7 +46,7 @@ class Sentry:
             yield
             return
         self._on_duty, self._alarms = True, []
-        self._camera.glance(self._look)
+        self._camera.glance(lambda glance: self._look(glance, hidden))
         try:
             yield
         except Interrupted:
@@ -57,10 +60,10 @@ class Sentry:
             self._requests.end_halt()
             raise self._alarms[0]
 
-    def _look(self, glance: Frame) -> None:
+    def _look(self, glance: Frame, hidden: Hidden) -> None:
         """Judge a glance, in the thread of the camera."""
         try:
-            self._guard.check_glance(glance)
+            self._guard.check_glance(glance, hidden)
         except Intruder as alarm:
             with self._lock:
                 if self._on_duty:

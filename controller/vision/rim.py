@@ -23,6 +23,9 @@ _LEAST = 12  # pixels of the coarse picture: narrower than a finger is nothing
 class Rim:
     """The strip, as it looks with nothing over it.
 
+    Attributes:
+        pixels: ndarray of shape (S, 2): centres of its pixels, px of the full picture.
+
     Args:
         clear: ndarray of shape (h, w, 3), dtype float32, see `coarse`: a picture with nothing over the table.
         strip: ndarray of shape (H, W), dtype uint8: non-zero where nothing is supposed to change.
@@ -32,6 +35,8 @@ class Rim:
     def __init__(self, clear: NDArray[np.float32], strip: NDArray[np.uint8], inside: NDArray[np.uint8]) -> None:
         size = clear.shape[1], clear.shape[0]
         self._strip = np.flatnonzero(cv2.resize(strip, size, interpolation=cv2.INTER_AREA) == 255)
+        rows, columns = np.divmod(self._strip, size[0])
+        self.pixels = (np.column_stack([columns, rows]) + 0.5) * GLANCE_SCALE - 0.5
         self.learn(clear)
         around = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
         self._inner = cv2.dilate((cv2.resize(inside, size, interpolation=cv2.INTER_AREA) > 0).astype(np.uint8), around)
@@ -42,8 +47,15 @@ class Rim:
         """Compare with another picture with nothing over the table from now on, (h, w, 3)."""
         self._before = clear.reshape(-1, 3)[self._strip] + _OFFSET
 
-    def crossed(self, small: NDArray[np.uint8] | NDArray[np.float32]) -> bool:
-        """Whether something reaches from the edge of a picture, (h, w, 3), into the work area; see `coarse`."""
+    def crossed(
+        self, small: NDArray[np.uint8] | NDArray[np.float32], known: NDArray[np.bool_] | None = None
+    ) -> bool:
+        """Whether something reaches from the edge of a picture, (h, w, 3), into the work area; see `coarse`.
+
+        Args:
+            small: The picture.
+            known: ndarray of shape (S,): where in the strip what shows is accounted for.
+        """
         ratio = (small.reshape(-1, 3)[self._strip] + _OFFSET) / self._before
         # The room's light may have changed as a whole.
         ratio /= np.median(ratio[::_SPARSE], axis=0)
@@ -51,6 +63,8 @@ class Rim:
         tint = np.maximum(np.maximum(blue, green), red) - np.minimum(np.minimum(blue, green), red)
         mean = (blue + green + red) / 3.0
         changed = (tint > _TINT) | (mean < _DARK) | (mean > _BRIGHT)
+        if known is not None:
+            changed &= ~known
         if changed.sum() < _LEAST:
             return False
         where = np.zeros(self._outer.shape, np.uint8)

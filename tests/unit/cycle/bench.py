@@ -153,7 +153,7 @@ class Bench(Observer):
         """Something reaches over the table in these frames; 1 is the first."""
         count = itertools.count(1)
 
-        def check(guard: Guard, frame: Frame) -> None:
+        def check(guard: Guard, frame: Frame, hidden: object) -> None:
             if next(count) in looks:
                 raise Intruder("a hand", "take it away")
 
@@ -163,7 +163,7 @@ class Bench(Observer):
         """Something reaches over the table in the middle of these moves that are watched; 1 is the first."""
         count = itertools.count(1)
 
-        def check(guard: Guard, glance: Frame) -> None:
+        def check(guard: Guard, glance: Frame, hidden: object) -> None:
             raise Intruder("a hand", "take it away")
 
         def commanded(command: dict[str, object]) -> None:
