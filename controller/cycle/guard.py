@@ -36,8 +36,8 @@ def strip_mask(config: CellConfig, calibration: CellCalibration, size: tuple[int
     base = transform(calibration.T_base_table, np.column_stack([flat, np.zeros(len(flat))]))
     radius, azimuth = np.hypot(base[:, 0], base[:, 1]), np.arctan2(base[:, 1], base[:, 0])
     free = (radius > area.outer_radius_mm + MARGIN_MM) & (azimuth > low - _ASIDE) & (azimuth < high + _ASIDE)
-    coarse = np.where(free, 255, 0).astype(np.uint8).reshape(rows.shape)
-    mask = cv2.resize(coarse, size, interpolation=cv2.INTER_NEAREST)
+    found = np.where(free, 255, 0).astype(np.uint8).reshape(rows.shape)
+    mask = cv2.resize(found, size, interpolation=cv2.INTER_NEAREST)
     for bin_ in config.bin_values():
         half = np.array(bin_.size) / 2.0 + MARGIN_MM
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half + bin_.center

@@ -112,7 +112,7 @@ class Looker:
                 clock.charge(rest)
             for observer in self._rig.observers:
                 observer.worked_ahead(ahead.began, ahead.began + budget)
-        self.guard.check_frame(frame, self._under_the_arm)
+        self.guard.check_frame(frame, self._arm_hides)
         return detected
 
     def locate(self, detected: Detected) -> tuple[Located, list[LocatedObject]]:
@@ -129,7 +129,7 @@ class Looker:
 
     def under_the_arm(self, frame: Frame, things: Sequence[LocatedObject]) -> tuple[LocatedObject, ...]:
         """What of some things of no known shape may lie under the arm as it stood in a frame; see `reaching_under`."""
-        hidden = self._under_the_arm(frame.captured_at)
+        hidden = self._arm_hides(frame.captured_at)
         return reaching_under(things, hidden, self._rig.arm.description.gripper.opening[1])
 
     def check(self, frame: Frame) -> None:
@@ -138,7 +138,7 @@ class Looker:
         Raises:
             Intruder: A hand, or something larger than any part, is over the table.
         """
-        self.guard.check_frame(frame, self._under_the_arm)
+        self.guard.check_frame(frame, self._arm_hides)
         self.locate(self._detect(frame, self._hidden(frame)))
 
     def _detect(self, frame: Frame, hidden: NDArray[np.uint8]) -> Detected:
@@ -154,8 +154,8 @@ class Looker:
         if self._region is None or self._backdrop is None or self._region.shape != frame.image.shape[:2]:
             self._region = region_mask(rig.config, rig.calibration, frame.size)
             self._backdrop = Backdrop(rig.config, rig.calibration, frame.size)
-        return self._backdrop.mask(self._under_the_arm(frame.captured_at))
+        return self._backdrop.mask(self._arm_hides(frame.captured_at))
 
-    def _under_the_arm(self, at: float) -> Array:
+    def _arm_hides(self, at: float) -> Array:
         """What of the table the arm hid at a time, s of the cell's clock; see `Planner.hidden`."""
         return self._rig.planner.hidden(self._pose_at(at))
