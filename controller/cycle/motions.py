@@ -133,7 +133,9 @@ class Motions:
             report = self.grip(proof.closing_target(plan.grasp, self._rig.arm.description.gripper))
             target = plan.target
             named = target.shape is not Shape.OTHER or target.detection.label != str(target.shape)
-            refusal = proof.refusal(report, plan.grasp, target.sigma, named=named) if proved else None
+            if proved:
+                before = arrival.state.opening
+                refusal = proof.refusal(report, plan.grasp, target.sigma, named=named, before=before)
         return refusal
 
     def push(self, plan: NudgePlan) -> bool:

@@ -29,6 +29,11 @@ middle.
 SQUEEZE_MM = 8.0
 """Closing aims this far below the part's width, well below what is taken for a part: an empty grasp shows."""
 
+MOVED_MM = 1.0
+"""Jaws that have not come nearer by as much hold nothing: they are opened 5 mm or more wider than a part is seen, and a
+servo arrives within 1 mm.
+"""
+
 RELEASE_MM = 2.0
 """Jaws this much wider than the seen width have let go: sizes are seen to 0.3 mm, and jaws arrive within 1 mm."""
 
@@ -53,7 +58,9 @@ def closing_target(grasp: Grasp, gripper: Gripper) -> float:
     return max(grasp.flush - SQUEEZE_MM, gripper.opening[0])
 
 
-def refusal(report: GripReport, grasp: Grasp, sigma: float, *, named: bool = True) -> str | None:
+def refusal(
+    report: GripReport, grasp: Grasp, sigma: float, *, named: bool = True, before: float = math.inf
+) -> str | None:
     """Why a closed gripper does not hold the part, or None when it does.
 
     Args:
@@ -61,9 +68,12 @@ def refusal(report: GripReport, grasp: Grasp, sigma: float, *, named: bool = Tru
         grasp: What was meant.
         sigma: Standard deviation of where the part was seen, mm.
         named: Its shape is known. What has none goes where anything may go, and its width is a guess.
+        before: How wide the jaws stood before they closed, mm.
     """
     if not report.contact:
         return f"the jaws closed to {report.opening:.1f} mm without touching a part"
+    if report.opening > before - MOVED_MM:
+        return f"the jaws stayed at {report.opening:.1f} mm: they are stuck, or stand on something"
     if not named:
         return None
     # Jaws turn a part that lies askew flush, or hold it as it lies: both are a grasp.

@@ -50,6 +50,13 @@ def test_jaws_that_closed_on_the_way_have_lost_the_part() -> None:
     assert proof.lost(state(33.0), grasp(45.0)) is not None
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_jaws_that_stay_where_they_were_hold_nothing_whatever_lies_there(named: bool) -> None:
+    stuck = GripReport(True, True, 45.3, 0.3)
+    assert "stayed at 45.3 mm" in str(proof.refusal(stuck, grasp(45.0), 1.3, named=named, before=45.5))
+    assert proof.refusal(stuck, grasp(45.0), 1.3, named=named, before=50.0) is None
+
+
 def test_what_has_no_name_is_seen_less_well() -> None:
     assert proof.refusal(GripReport(True, True, 35.2, 0.3), grasp(38.9), 0.15) is not None
     assert proof.refusal(GripReport(True, True, 35.2, 0.3), grasp(38.9), 1.3) is None
