@@ -115,8 +115,8 @@ class Guard:
             inside = region_mask(self._config, self._calibration, frame.size)
             known = self._clear_view.image
             self._rim = Rim(known if known is not None and known.shape == small.shape else small, strip, inside)
-        self._check(small, frame.captured_at, hidden)
-        if not self._learnt:
+        shows_nothing = self._check(small, frame.captured_at, hidden)
+        if shows_nothing and not self._learnt:
             self._learnt = True
             self._rim.learn(small)
             self._clear_view.learn(small)
@@ -129,12 +129,20 @@ class Guard:
         """
         self._check(glance.image, glance.captured_at, hidden)
 
-    def _check(self, small: NDArray[np.uint8] | NDArray[np.float32], at: float, hidden: Hidden) -> None:
+    def _check(self, small: NDArray[np.uint8] | NDArray[np.float32], at: float, hidden: Hidden) -> bool:
+        """Whether nothing shows in the strip, not even the arm.
+
+        Raises:
+            Intruder: More than the arm does.
+        """
         rim = self._rim
         # Where the arm stands is asked for only when something shows: most looks show nothing.
-        if rim is not None and rim.crossed(small) and rim.crossed(small, self._under(rim, hidden(at))):
+        if rim is None or not rim.crossed(small):
+            return True
+        if rim.crossed(small, self._under(rim, hidden(at))):
             remedy = "clear the view, then controller resume; it is to stay there: stop, then start --view-clear"
             raise Intruder("something reaches over the table", remedy)
+        return False
 
     def _under(self, rim: Rim, arm: Array) -> NDArray[np.bool_]:
         """Which pixels of the strip the arm and what it carries may hide."""

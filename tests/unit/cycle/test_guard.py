@@ -102,3 +102,14 @@ def test_the_arm_itself_is_no_intruder_and_a_hand_beside_it_is_one() -> None:
     guard.check_frame(frame(picture), lambda at: discs)
     with pytest.raises(Intruder):
         guard.check_frame(frame(picture), lambda at: discs + (400.0, 0.0, 0.0))
+
+
+def test_a_first_look_with_the_arm_over_the_strip_is_not_learnt_as_clear() -> None:
+    view = ClearView()
+    start(view).check_frame(frame(table()), nothing)
+    guard, picture = start(view), forearm(table())
+    everywhere = np.array([[*CONFIG.bin_values()[0].center, np.inf]])
+    guard.check_frame(frame(picture), lambda at: everywhere)
+    guard.check_frame(frame(table()), nothing)
+    with pytest.raises(Intruder):
+        guard.check_frame(frame(picture), nothing)
