@@ -127,7 +127,7 @@ class Body:
                 self._write_watchdog(0)
 
     def recheck(self) -> bool:
-        """Arm the watchdog; True when it had tripped, so that the joints now hold where it stopped them.
+        """Arm the watchdog; True when it had tripped: the joints now hold where it stopped them, the jaws go on.
 
         Raises:
             ServoFault: A servo has restarted.
@@ -137,9 +137,13 @@ class Body:
         bring_up.check_still_ours(self.servos, ram)
         tripped = any(state.tripped for state in ram.values())
         if tripped:
-            # Until it is cleared goals are refused; those from before must not come into force again.
+            # Until it is cleared goals are refused; the joints' from before must not come into force again. The jaws'
+            # must: they squeeze what they hold.
+            jaw = self.gripper.servo_id
+            goal = self.bus.read_register(jaw, "Goal_Position")
             self._write_watchdog(0)
             self.send_goals(self.state("clear Bus_Watchdog").positions)
+            self.bus.sync_write("Goal_Position", {jaw: goal})
         self._write_watchdog(round(WATCHDOG / WATCHDOG_UNIT))
         return tripped
 

@@ -6,7 +6,7 @@ servo restarts, so it is written at every start and checked before every move.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from controller.errors import ArmError, BusError, ServoFault
@@ -20,10 +20,11 @@ from drivers.arm.control_table import (
     REGISTERS,
     REVERSE,
     WATCHDOG_TRIPPED,
+    hardware_error_text,
     model_name,
 )
 from drivers.arm.replies import Identity
-from drivers.arm.servos import Servo, check_hardware
+from drivers.arm.servos import GRIPPER, Servo, check_hardware
 
 _WRITE_ATTEMPTS = 3
 _ALIGNED_TICKS = 8  # a shadow nearer than this to its partner is left as it is: 0.7 degrees, backlash included
@@ -34,7 +35,7 @@ _RAM_BLOCK = (REGISTERS["Torque_Enable"].address, REGISTERS["Bus_Watchdog"].addr
 
 
 def take_inventory(bus: Bus, servos: Sequence[Servo]) -> dict[int, Identity]:
-    """Ping every servo and compare its model; an alert is no absence.
+    """Ping every servo, compare its model, and have it answer whatever it is asked; an alert is no absence.
 
     Raises:
         BusError: code `timeout` (servos missing, all of them named), `corrupt` (perhaps two servos share an ID)
@@ -60,6 +61,8 @@ def take_inventory(bus: Bus, servos: Sequence[Servo]) -> dict[int, Identity]:
         raise BusError(bus.name, "inventory", code, "no good answer from " + ", ".join(missing), remedy)
     if wrong:
         raise BusError(bus.name, "inventory", "refused", "; ".join(wrong), "choose the right --arm, or correct the IDs")
+    # Pings are always answered, reads and writes only at this level. Nobody answers a broadcast, so it needs none.
+    bus.sync_write("Status_Return_Level", {servo.servo_id: 2 for servo in servos})
     return found
 
 
@@ -71,8 +74,6 @@ def configure(bus: Bus, servos: Sequence[Servo]) -> tuple[str, ...]:
     Raises:
         BusError: A servo does not answer or does not take a value.
     """
-    # Without it writes go unanswered. Nobody answers a broadcast, so it needs no answer itself.
-    bus.sync_write("Status_Return_Level", {servo.servo_id: 2 for servo in servos})
     changed: list[str] = []
     # Shadows come last: what is written to their partner reaches them too.
     for servo in servos:
@@ -138,8 +139,12 @@ def _align_shadow(bus: Bus, servo: Servo) -> list[str]:
 
 
 def ram(servo: Servo) -> dict[str, int]:
-    """What a servo runs with: goals taken at once, the model's gains, no watchdog until it moves."""
+    """What a servo runs with: goals taken at once, the model's gains, no watchdog until it moves.
+
+    The jaws' Goal_PWM is missing: every grip sets it, and until then it limits the force on what they hold.
+    """
     p, i, d = servo.gains
+    power = {} if servo.name == GRIPPER else {"Goal_PWM": PWM_FULL}
     return {
         "Bus_Watchdog": 0,
         "Position_P_Gain": p,
@@ -149,14 +154,16 @@ def ram(servo: Servo) -> dict[str, int]:
         "Feedforward_2nd_Gain": 0,
         "Profile_Acceleration": 0,
         "Profile_Velocity": 0,
-        "Goal_PWM": PWM_FULL,
+        **power,
     }
 
 
 def write_ram(bus: Bus, servo: Servo) -> None:
-    """Write what a restart loses. Raises BusError."""
+    """Write what a restart loses; a watchdog that has tripped stays so until the next move. Raises BusError."""
     for name, value in ram(servo).items():
-        if bus.read_register(servo.servo_id, name) != value:
+        present = bus.read_register(servo.servo_id, name)
+        # Until it is cleared, a goal from before cannot come into force again.
+        if present != value and not (name == "Bus_Watchdog" and present == WATCHDOG_TRIPPED):
             set_register(bus, servo, name, value)
 
 
@@ -240,6 +247,7 @@ def torque_on(bus: Bus, servos: Sequence[Servo], positions: Mapping[int, int]) -
             cause = f"stands at tick {positions[servo.servo_id]}, outside {low}..{high}"
             raise ArmError(servo.title, "energise", cause, "move it inside its limits by hand")
     for servo in off:
+        set_register(bus, servo, "Bus_Watchdog", 0)  # one that has tripped refuses goals
         set_register(bus, servo, "Goal_Position", positions[servo.servo_id])
     for servo in off:
         try:
@@ -269,16 +277,30 @@ def torque_off(bus: Bus, servos: Sequence[Servo]) -> None:
         raise BusError(bus.name, "torque off", "timeout", cause, "switch the 12 V supply off before touching the arm")
 
 
-def restart(bus: Bus, clock: Clock, servos: Sequence[Servo]) -> None:
-    """Reboot those servos that hold no torque, for instance after a hardware error; whatever is in their RAM is lost.
+def restart(bus: Bus, clock: Clock, servos: Sequence[Servo], alerts: Collection[int]) -> None:
+    """Reboot those servos that report an alert and hold no torque; whatever is in their RAM is lost.
+
+    Args:
+        bus: The bus.
+        clock: Time.
+        servos: All of them.
+        alerts: IDs of those that report one.
 
     Raises:
         BusError: One does not come back.
-        ServoFault: One comes back with a hardware error.
+        ServoFault: One comes back with a hardware error, or its shadow, which obeys a reboot too, still holds.
     """
-    limp = [servo for servo in servos if not bus.read_register(servo.servo_id, "Torque_Enable")]
+    holding = {servo.servo_id for servo in servos if bus.read_register(servo.servo_id, "Torque_Enable")}
+    limp = [servo for servo in servos if servo.servo_id in alerts and servo.servo_id not in holding]
     if not limp:
         return
+    held_up = {servo.shadow_of for servo in servos if servo.servo_id in holding}
+    for servo in limp:
+        if servo.servo_id in held_up:
+            bits = bus.read_register(servo.servo_id, "Hardware_Error_Status")
+            cause = f"{hardware_error_text(bits)[0]}, while its joint's second servo holds"
+            remedy = "support the arm, then switch the servos' supply off and on"
+            raise ServoFault(servo.title, "restart", servo.name, bits, cause, remedy)
     for servo in limp:
         try:
             bus.reboot(servo.servo_id)

@@ -75,7 +75,7 @@ class DynamixelArm:
 
         Args:
             restart: Reboot the servos that have shut themselves down, torque off, for a hardware error. One that
-                reports an error and still holds is left alone: it would let go.
+                still holds is left alone: it would let go.
 
         Raises:
             BusError: The port or a servo does not answer, or is another model than described.
@@ -87,8 +87,8 @@ class DynamixelArm:
         try:
             self.inventory = bring_up.take_inventory(self.bus, servos)
             if restart:
-                alerts = [servo for servo in servos if self.inventory[servo.servo_id].alert]
-                bring_up.restart(self.bus, self._body.clock, alerts)
+                alerts = {servo_id for servo_id, identity in self.inventory.items() if identity.alert}
+                bring_up.restart(self.bus, self._body.clock, servos, alerts)
             self._body.state("open")
             self.changed = bring_up.configure(self.bus, servos)
             self.bus.probe_fast([servo.servo_id for servo in servos], *TELEMETRY)

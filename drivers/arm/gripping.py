@@ -9,7 +9,7 @@ from collections import deque
 
 from controller.domain import GripReport
 from controller.errors import MotionTimeout
-from drivers.arm.body import Body, MissCounter, StopRequested
+from drivers.arm.body import WATCHDOG, Body, MissCounter, StopRequested
 from drivers.arm.bring_up import set_register
 from drivers.arm.conversions import angle_from_opening, opening_from_angle, opening_sign, ticks_from_angle
 
@@ -108,7 +108,7 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
     start = angle_from_opening(gripper, body.state("grip").opening)
     goal = send_jaws(body, opening, start, effort)
     opens = opening > opening_from_angle(gripper, start)
-    began = tick = clock.now()
+    began = tick = heard = clock.now()
     detector = StopDetector(began, start)
     misses = MissCounter(body)
     deadline = began + TIMEOUT + abs(goal - start) / SLOWEST
@@ -116,6 +116,13 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
     standing = 0
     while True:
         tick = body.next_tick(tick, _PERIOD)
+        silence = clock.now() - heard
+        if silence > WATCHDOG / 2.0 and body.recheck():
+            # The servos' watchdog has stopped the jaws, not a part: they set off again.
+            start = angle_from_opening(gripper, body.state("grip").opening)
+            detector, stopped_at, standing = StopDetector(clock.now(), start), None, 0
+            deadline += silence
+        heard = clock.now()
         found = body.read("grip")
         failure = misses.failure(found, "grip")
         if failure is not None:

@@ -22,6 +22,9 @@ from drivers.arm.conversions import (
 )
 from drivers.arm.replies import Reply
 
+GRIPPER = "gripper"
+"""Name of the gripper's servo."""
+
 LIMIT_MARGIN = math.radians(5.0)
 """How far goals may lie beyond a joint's limits, rad: the offsets against sag and lag reach 5 degrees."""
 
@@ -87,7 +90,7 @@ def servos_of(description: ArmDescription) -> tuple[Servo, ...]:
     model = _model(description, gripper.model)
     # The jaws make steps: half of the factory's D brings them to rest soonest. I would wind up on a part.
     p, _, d = model.position_gains
-    jaw = Servo("gripper", gripper.servo_id, model, gripper.reverse, _limits(*ends), (p, 0, d // 2))
+    jaw = Servo(GRIPPER, gripper.servo_id, model, gripper.reverse, _limits(*ends), (p, 0, d // 2))
     return (*joints, jaw, *shadows)
 
 
