@@ -122,27 +122,37 @@ class LedgerReader:
             found["targets"] = int(targets.fetchone()[0])
         return found
 
+    # What comes after what is told by run and cell clock: somebody may set the computer's date back.
+
     @property
     def may_hold_part(self) -> bool:
         """Nobody knows what became of the last target, and nobody has reset the cell since: it may be in the jaws."""
         with as_ledger_error(self.path, "read"):
             row = self._connection.execute(
                 "SELECT result IN ('indeterminate', 'aborted') AND NOT EXISTS (SELECT 1 FROM events e"
-                " WHERE e.kind = 'operator' AND json_extract(e.details, '$.command') = 'reset' AND e.wall > o.wall)"
+                " WHERE e.kind = 'operator' AND json_extract(e.details, '$.command') = 'reset'"
+                " AND (e.run_id, e.at_s) >= (o.run_id, o.finished_at_s))"
                 " FROM outcomes o ORDER BY outcome_id DESC LIMIT 1"
             ).fetchone()
         return row is not None and bool(row[0])
 
     def in_bins(self) -> dict[str, int]:
         """Parts put into each bin, by name, since an event `emptied` named it (or, without a `bin`, all of them)."""
+        counts: dict[str, int] = {}
         with as_ledger_error(self.path, "read"):
-            return dict(
-                self._connection.execute(
-                    "SELECT o.bin, count(*) FROM outcomes o WHERE o.result IN ('placed', 'rejected') AND o.wall >"
-                    " coalesce((SELECT max(wall) FROM events WHERE kind = 'emptied'"
-                    " AND coalesce(json_extract(details, '$.bin'), o.bin) = o.bin), '') GROUP BY o.bin"
-                )
-            )
+            ask = self._connection.execute
+            for (name,) in ask("SELECT DISTINCT bin FROM outcomes WHERE result IN ('placed', 'rejected')").fetchall():
+                emptied = ask(
+                    "SELECT run_id, at_s FROM events WHERE kind = 'emptied'"
+                    " AND coalesce(json_extract(details, '$.bin'), ?1) = ?1 ORDER BY 1 DESC, 2 DESC LIMIT 1",
+                    (name,),
+                ).fetchone()
+                (counts[name],) = ask(
+                    "SELECT count(*) FROM outcomes WHERE bin = ? AND result IN ('placed', 'rejected')"
+                    " AND (run_id, finished_at_s) > (?, ?)",
+                    (name, *(emptied or (0, 0.0))),
+                ).fetchone()
+        return {name: count for name, count in counts.items() if count}
 
     def verify(self) -> tuple[str, ...]:
         """Everything that is wrong with the file or the record; empty for a sound ledger.

@@ -35,15 +35,27 @@ def test_bins_hold_what_was_put_into_them_since_they_were_emptied(path: Path) ->
         for number, result in enumerate([Result.PLACED, Result.REJECTED, Result.DROPPED, Result.GRASP_MISSED]):
             ledger.conclude(outcome(f"t{number}", result))
         assert ledger.in_bins() == {"left": 2}
-        ledger.note("emptied", 1.0, bin="right")
+        ledger.note("emptied", 10.0, bin="right")
         assert ledger.in_bins() == {"left": 2}
     with opened(path, 2) as ledger:
         ledger.note("emptied", 1.0, bin="left")
         assert ledger.in_bins() == {}
         ledger.conclude(outcome("t9"))
         assert ledger.in_bins() == {"left": 1}
-        ledger.note("emptied", 1.0)
+        ledger.note("emptied", 10.0)
         assert ledger.in_bins() == {}
+
+
+def test_a_date_that_was_set_back_changes_nothing_of_what_came_first(path: Path) -> None:
+    with opened(path, 2) as ledger:
+        ledger.conclude(outcome("t1"))
+        ledger.note("emptied", 10.0)
+        ledger.note("operator", 10.0, command="reset", uid=0)
+    with opened(path, 1) as ledger:
+        ledger.conclude(outcome("t2", Result.ABORTED))
+        assert ledger.may_hold_part
+        ledger.conclude(outcome("t3"))
+        assert ledger.in_bins() == {"left": 1}
 
 
 @pytest.mark.parametrize(
@@ -54,9 +66,9 @@ def test_the_jaws_may_hold_what_nobody_knows_the_end_of(path: Path, result: Resu
         assert not ledger.may_hold_part
         ledger.conclude(outcome("t1", result))
         assert ledger.may_hold_part is may
-        ledger.note("operator", 1.0, command="stop", uid=0)
+        ledger.note("operator", 10.0, command="stop", uid=0)
         assert ledger.may_hold_part is may
-        ledger.note("operator", 1.0, command="reset", uid=0)
+        ledger.note("operator", 10.0, command="reset", uid=0)
         assert not ledger.may_hold_part
 
 
