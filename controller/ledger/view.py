@@ -158,7 +158,8 @@ class LedgerReader:
         """Everything that is wrong with the file or the record; empty for a sound ledger.
 
         Checks SQLite's own structure, that every record belongs to a run, that every target has one outcome at
-        most, which knows of all attempts on record, and that targets by result and open ones add up to all targets.
+        most, that all of its attempts and no others are on record, and that targets by result and open ones add up
+        to all targets.
         """
         problems: list[str] = []
         with as_ledger_error(self.path, "verify"):
@@ -174,8 +175,8 @@ class LedgerReader:
             problems += [
                 f"target {target} of run {run}: {tried} attempts on record, but its outcome says {said}"
                 for run, target, tried, said in ask(
-                    "SELECT run_id, target_id, count(*) AS tried, o.attempts FROM intents i"
-                    " JOIN outcomes o USING (run_id, target_id) GROUP BY run_id, target_id HAVING o.attempts < tried"
+                    "SELECT run_id, target_id, count(i.intent_id) AS tried, o.attempts FROM outcomes o"
+                    " LEFT JOIN intents i USING (run_id, target_id) GROUP BY run_id, target_id HAVING o.attempts <> tried"
                 )
             ]
         counts = self.counts()

@@ -33,10 +33,12 @@ def path(tmp_path: Path) -> Path:
         ledger.begin_run(software_version="1", config_hash="abc", calibration_id="cal-1", mode="real", arm="rx")
         ledger.intend("t1", plan("t1"), 1, 4.0)
         ledger.conclude(outcome("t1"))
+        ledger.intend("t2", plan("t2"), 1, 4.0)
         ledger.conclude(outcome("t2", Result.DROPPED))
         ledger.note("state", 5.0, doing="held", code="camera_lost")
         now += timedelta(days=1)
         ledger.begin_run(software_version="2", config_hash="abd")
+        ledger.intend("t1", plan("t1"), 1, 4.0)
         ledger.conclude(outcome("t1", Result.GRASP_MISSED))
         ledger.note("operator", 6.0, command="stop", uid=1000)
     return file
@@ -73,7 +75,7 @@ def test_show_filters(
         ("runs", (), "config_hash", ["abc", "abd"]),
         ("runs", ("--until", "2026-03-10T18:00Z"), "run_id", [1]),
         ("runs", ("--since", "2026-03-10T18:00Z"), "run_id", [1, 2]),  # the first one ended on the second day
-        ("intents", (), "target_id", ["t1"]),
+        ("intents", (), "target_id", ["t1", "t2", "t1"]),
         ("events", (), "kind", ["state", "operator"]),
         ("events", ("--kind", "operator"), "details", [{"command": "stop", "uid": 1000}]),
         ("days", (), "day", []),

@@ -8,7 +8,7 @@ import pytest
 from controller.errors import LedgerError
 from controller.ledger import LedgerView, SqliteLedger, opening, schema, view
 from sim_backends.virtual_clock import VirtualClock
-from tests.unit.ledger.nouns import outcome
+from tests.unit.ledger.nouns import outcome, plan
 
 
 def opened(path: Path) -> SqliteLedger:
@@ -26,6 +26,7 @@ def with_migrations(monkeypatch: pytest.MonkeyPatch, *steps: tuple[str, ...]) ->
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     with opened(tmp_path / "ledger.db") as ledger:
+        ledger.intend("t1", plan("t1"), 1, 4.0)
         ledger.conclude(outcome("t1"))
     return tmp_path / "ledger.db"
 

@@ -113,6 +113,7 @@ def test_commits_reach_the_disk_before_they_return(ledger: SqliteLedger) -> None
 
 @pytest.mark.safety("SR-41")
 def test_a_second_outcome_is_refused_and_the_first_stands(ledger: SqliteLedger) -> None:
+    ledger.intend("t1", plan("t1"), 1, 4.0)
     ledger.conclude(outcome("t1", Result.PLACED))
     with pytest.raises(ValueError, match="outcome of t1"):
         ledger.conclude(outcome("t1", Result.DROPPED))
@@ -276,6 +277,7 @@ def test_a_damaged_ledger_is_set_aside_and_a_new_one_begun(path: Path, damage: s
         assert again.set_aside.read_bytes() == damaged
         (event,) = again.rows("events")
         assert (event["kind"], event["details"]) == ("ledger_damaged", {"set_aside": str(again.set_aside)})
+        again.intend("t1", plan("t1"), 1, 4.0)
         again.conclude(outcome("t1"))
         assert again.verify() == ()
 
@@ -334,6 +336,18 @@ def test_in_a_read_only_folder_it_can_be_read_but_not_written(path: Path) -> Non
 def test_a_folder_in_the_place_of_the_file_is_said(tmp_path: Path) -> None:
     with pytest.raises(LedgerError, match="unable to open"):
         opened(tmp_path)
+
+
+@pytest.mark.safety("SR-40")
+def test_verify_finds_an_attempt_that_is_not_on_record(ledger: SqliteLedger) -> None:
+    ledger.intend("t1", plan("t1"), 1, 4.0)
+    ledger.conclude(outcome("t1", attempts=2))
+    ledger.conclude(outcome("t2", attempts=1))
+    ledger.conclude(outcome("t3", Result.SKIPPED, attempts=0))
+    assert ledger.verify() == (
+        "target t1 of run 1: 1 attempts on record, but its outcome says 2",
+        "target t2 of run 1: 0 attempts on record, but its outcome says 1",
+    )
 
 
 def test_verify_finds_a_wrong_count_and_an_unknown_run(ledger: SqliteLedger) -> None:

@@ -36,9 +36,10 @@ def main() -> None:
             name = f"{run}-{number}"
             ledger.intend(name, plan(name), 1, clock.now())
             say(f"intent {name}")
-            if number % 3 == 1:
+            attempts = 1 + (number % 3 == 1)
+            if attempts == 2:
                 ledger.intend(name, plan(name), 2, clock.now())
-            ledger.conclude(outcome(name, attempts=2))
+            ledger.conclude(outcome(name, attempts=attempts))
             say(f"outcome {name}")
     except LedgerError as error:
         say(f"failed: {error}")
