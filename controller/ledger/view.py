@@ -176,7 +176,8 @@ class LedgerReader:
                 f"target {target} of run {run}: {tried} attempts on record, but its outcome says {said}"
                 for run, target, tried, said in ask(
                     "SELECT run_id, target_id, count(i.intent_id) AS tried, o.attempts FROM outcomes o"
-                    " LEFT JOIN intents i USING (run_id, target_id) GROUP BY run_id, target_id HAVING o.attempts <> tried"
+                    " LEFT JOIN intents i USING (run_id, target_id) GROUP BY run_id, target_id"
+                    " HAVING o.attempts <> tried"
                 )
             ]
         counts = self.counts()

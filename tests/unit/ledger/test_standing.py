@@ -46,6 +46,7 @@ def test_bins_hold_what_was_put_into_them_since_they_were_emptied(path: Path) ->
         assert ledger.in_bins() == {}
 
 
+@pytest.mark.safety("SR-33")
 def test_a_date_that_was_set_back_changes_nothing_of_what_came_first(path: Path) -> None:
     with opened(path, 2) as ledger:
         ledger.conclude(outcome("t1"))
