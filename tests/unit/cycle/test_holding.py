@@ -124,11 +124,15 @@ def test_a_camera_that_comes_back_is_waited_for(monkeypatch: pytest.MonkeyPatch)
     assert bench.camera.opened == 2
 
 
-def test_another_failure_of_the_camera_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.safety("SR-31", "SR-24")
+def test_an_unusable_picture_moves_nothing_and_each_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
     codes = ["black", "black", "moved"]
     bench.camera.failures = [PictureUnusable("camera", "look", code, code) for code in codes]
+    moved: list[object] = []
+    bench.on_command = lambda command: moved.append(command) if bench.camera.failures and bench.held_for else None
     bench.run()
+    assert moved == []
     assert [getattr(cause, "code", "") for cause in bench.held_for] == ["black", "moved"]
     assert bench.overcome == 1
 

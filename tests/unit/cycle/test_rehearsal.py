@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controller.backends import BackendOptions, Devices, rehearsed
 from controller.config.arm import load_arm
-from controller.cycle.rehearsal import AIR_CLEARANCE, AIR_SPEED, AirPlanner, EmptyHanded, ImaginedPart, OneLook
+from controller.cycle.rehearsal import (
+    AIR_CLEARANCE,
+    AIR_SPEED,
+    AirPlanner,
+    EmptyHanded,
+    ImaginedPart,
+    OneLook,
+    Rehearsal,
+)
 from controller.domain import Frame
 from controller.errors import CameraEnded, LimitViolation, NoClearGrasp
 from controller.geometry import invert, transform
@@ -16,6 +27,7 @@ from controller.motion import kinematics
 from controller.motion.overhead import TALLEST_PART
 from controller.motion.planner import Planner
 from sim_backends.recording_arm import RecordingArm
+from sim_backends.replay_camera import ReplayCamera
 from sim_backends.virtual_clock import VirtualClock
 from tests.unit.motion.scene import RX150, bins, calibration, scatter
 
@@ -61,6 +73,30 @@ def test_empty_hands_never_move_their_jaws() -> None:
     assert arm.grip(20.0).opening == 20.0
     assert arm.state().opening == 20.0
     assert "grip" not in {command["command"] for command in commands}
+
+
+@pytest.mark.safety("SR-18")
+def test_a_dry_run_tells_the_arm_nothing(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    asked: list[str] = []
+
+    class Silent(RecordingArm):
+        def __getattribute__(self, name: str) -> object:
+            if not name.startswith("_"):
+                asked.append(name)
+            return super().__getattribute__(name)
+
+    devices = Devices(OneLook(ReplayCamera(tmp_path, clock)), Silent(RX150, clock), clock)
+    asked.clear()
+    dry = rehearsed(devices, RX150, BackendOptions(tmp_path), Rehearsal.DRY)
+    dry.arm.open()
+    dry.arm.energise()
+    assert dry.arm.follow(REAL.home(np.array(RX150.rest))).finished
+    dry.arm.grip(20.0)
+    dry.arm.relax()
+    dry.close()
+    assert not set(asked) & {"open", "energise", "follow", "grip", "relax"}
+    assert (tmp_path / "moves.jsonl").read_text(encoding="utf-8").count("\n") == 4
 
 
 def test_a_rehearsal_looks_once() -> None:

@@ -101,6 +101,7 @@ def test_brightness_is_measured_and_is_not_a_move(scenery: Scenery, factor: floa
     assert (trouble(change) is None) == (0.7 <= factor <= 1.4)
 
 
+@pytest.mark.safety("SR-31")
 def test_a_soft_lens_is_told(scenery: Scenery) -> None:
     found = trouble(scenery.compare(cv2.GaussianBlur(scene(2), (0, 0), 5.0).astype(np.uint8)))
     assert found is not None
@@ -114,6 +115,7 @@ def test_an_arm_over_the_better_part_of_the_edges_is_no_soft_lens(scenery: Scene
     assert trouble(scenery.compare(image)) is None
 
 
+@pytest.mark.safety("SR-31")
 def test_a_covered_view_is_told(scenery: Scenery) -> None:
     picture = scene(2)
     picture[:, :450] = (90, 120, 180)
@@ -129,6 +131,7 @@ def test_a_checked_cloth_as_bright_as_the_table_covers_the_view(scenery: Scenery
     assert found[0] == "covered"
 
 
+@pytest.mark.safety("SR-31")
 def test_another_view_is_told(scenery: Scenery) -> None:
     assert trouble(scenery.compare(scene(2)[::-1, ::-1].copy())) is not None
     assert trouble(scenery.compare(np.zeros((SIZE[1], SIZE[0], 3), np.uint8))) is not None
