@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -106,15 +107,20 @@ class Stream:
 
     def image(self) -> NDArray[np.uint8] | None:
         """The frame taken last, shape (H, W, 3), dtype uint8, BGR, read-only; None when it is damaged."""
-        try:
-            ok, image = self._capture.retrieve()
-        except cv2.error:
-            ok, image = False, None
-        if not ok or image is None or image.dtype != np.uint8 or image.shape != (self._size[1], self._size[0], 3):
+        image = self._decode()
+        if image is None or image.dtype != np.uint8 or image.shape != (self._size[1], self._size[0], 3):
             self.bad_frames += 1
             return None
         image.setflags(write=False)
         return np.asarray(image)
+
+    def _decode(self) -> Any:
+        """What the device gave last, whatever it is; None when it cannot be decoded."""
+        try:
+            ok, image = self._capture.retrieve()
+        except cv2.error:
+            return None
+        return image if ok else None
 
     # --- making it ready ------------------------------------------------------------------------------
 
@@ -146,8 +152,8 @@ class Stream:
                 )
             if self._clock.now() - began >= SETTLE:
                 break
-        ok, image = self._capture.retrieve()
-        if not ok or image is None:
+        image = self._decode()
+        if image is None:
             raise CameraLost(self._device, "open", "its frames cannot be decoded", "check the cable and the USB hub")
         width, height = image.shape[1], image.shape[0]
         if (width, height) != self._size:

@@ -63,6 +63,23 @@ def test_a_device_without_frames_is_lost_and_let_go_of(step: Step) -> None:
     assert capture.released
 
 
+@pytest.mark.parametrize("bad", [None, cv2.error("jpeg")])
+def test_a_device_whose_frames_cannot_be_decoded_is_lost_and_let_go_of(
+    monkeypatch: pytest.MonkeyPatch, bad: cv2.error | None
+) -> None:
+    capture = capture_at()
+
+    def retrieve() -> tuple[bool, object]:
+        if bad is not None:
+            raise bad
+        return False, None
+
+    monkeypatch.setattr(capture, "retrieve", retrieve)
+    with pytest.raises(CameraLost, match="cannot be decoded"):
+        opened(capture)
+    assert capture.released
+
+
 def test_settling_takes_its_time_and_no_longer() -> None:
     capture = capture_at(rate={"": 2.0})
     opened(capture)

@@ -1,8 +1,10 @@
-"""A plan and its outcome with distinct values in every field, so that a swapped column shows."""
+"""A ledger, and a plan and its outcome with distinct values in every field, so that a swapped column shows."""
 
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +21,19 @@ from controller.domain import (
     Shape,
     Trajectory,
 )
+from controller.ledger import SqliteLedger
+from sim_backends.virtual_clock import VirtualClock
 
+WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 FRAME = Frame(17, 3.25, np.zeros((4, 6, 3), np.uint8), "camera")
 _MOVE = Trajectory("approach", 0.01, np.zeros((2, 5)), np.zeros((2, 5)))
+
+
+def opened(path: Path, *, begin: bool = True) -> SqliteLedger:
+    ledger = SqliteLedger(path, clock=VirtualClock(100.0), wall=lambda: WALL)
+    if begin:
+        ledger.begin_run(software_version="1.2", config_hash="abc", calibration_id="cal-1", mode="sim", arm="a", seed=7)
+    return ledger
 
 
 def target(target_id: str = "t1", *, yaw: float | None = math.radians(30.0)) -> LocatedObject:
