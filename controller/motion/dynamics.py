@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.domain import ArmDescription, Array
+from controller.motion.by_arm import once_per_arm
 
 GRAVITY = 9.80665  # m/s^2
 # The tanh spreads the change of friction's sign over +-0.05 rad/s, two encoder ticks in one 100 Hz period.
@@ -42,18 +43,8 @@ class _Model:
     inertia: Array
 
 
-# By identity, as for the kinematics.
-_MODELS: dict[int, tuple[ArmDescription, _Model]] = {}
-
-
+@once_per_arm
 def _model(arm: ArmDescription) -> _Model:
-    known = _MODELS.get(id(arm))
-    if known is None:
-        known = _MODELS[id(arm)] = (arm, _build(arm))
-    return known[1]
-
-
-def _build(arm: ArmDescription) -> _Model:
     joints, links = arm.joints, arm.links
     # What the roll joint carries sits on its axis as far as the plane is concerned.
     shift = [0.0, 0.0, 0.0, 0.0] + [joint.offset[0] for joint in joints[4:]]

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.domain import ArmDescription, Array
 from controller.errors import Unreachable
+from controller.motion.by_arm import once_per_arm
 
 TOP_DOWN = math.pi / 2
 BRANCHES = 4
@@ -55,19 +56,9 @@ class Chain:
     limits: tuple[tuple[float, float], ...]
 
 
-# By identity: hashing a whole description takes longer than the kinematics.
-_CHAINS: dict[int, tuple[ArmDescription, Chain]] = {}
-
-
+@once_per_arm
 def chain(arm: ArmDescription) -> Chain:
     """The planar chain of an arm description (checked when the description is loaded)."""
-    known = _CHAINS.get(id(arm))
-    if known is None:
-        known = _CHAINS[id(arm)] = (arm, _chain(arm))
-    return known[1]
-
-
-def _chain(arm: ArmDescription) -> Chain:
     waist, shoulder, elbow, wrist = arm.joints[:4]
     roll = sum(joint.offset[0] for joint in arm.joints[4:])
     return Chain(

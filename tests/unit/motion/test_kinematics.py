@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import gc
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from controller.config.arm import load_arm
 from controller.domain import ArmDescription
 from controller.errors import Unreachable
 from controller.motion import kinematics
+from controller.motion.by_arm import KEPT
 from tests.unit.motion.scene import ARMS, RX150
 
 unit = st.floats(0.0, 1.0)
@@ -102,3 +105,10 @@ def test_home_matrix_of_the_maker() -> None:
     tool = kinematics.forward(RX150, np.zeros(5))
     assert tool[:3, 3] == pytest.approx([358.575, 0.0, 254.57], abs=1e-9)
     assert tool[:3, :3] == pytest.approx(np.eye(3))
+
+
+def test_a_process_that_meets_ever_new_arms_forgets_the_old_ones() -> None:
+    for _ in range(5 * KEPT):
+        kinematics.chain(replace(RX150))
+    assert kinematics.chain(RX150) is kinematics.chain(RX150)
+    assert sum(isinstance(thing, kinematics.Chain) for thing in gc.get_objects()) <= KEPT
