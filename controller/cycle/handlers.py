@@ -189,8 +189,7 @@ class Handlers:
         target = self._outcomes.at_work
         assert target is not None
         assert target.plan is not None
-        plan = target.plan
-        arrival = self._motions.follow(plan.carry)
+        plan, arrival = self._motions.carry(target.plan)
         dropped = proof.lost(arrival.state, plan.grasp) if self._rig.pick_proof else None
         self._look_ahead(plan)
         mistaken = dropped is None and self._rig.pick_proof and self.looker.shows_still(plan.target.detection)
@@ -286,7 +285,7 @@ class Handlers:
             plan, rejects, self._stock.drop_point(rejects), self._rig.arm.state().positions,
             view=motions.view,
         )  # fmt: skip
-        motions.follow(target.plan.carry)
+        motions.carry(target.plan)
         return target.plan
 
     def _missed(self, target: Target, plan: PickPlan, refusal: str) -> str:

@@ -12,7 +12,7 @@ from controller.cycle.looking import Looker
 from controller.cycle.outcomes import Outcomes
 from controller.cycle.requests import Requests
 from controller.cycle.rig import Rig
-from controller.errors import CameraError, Intruder, PartHeld, SorterError
+from controller.errors import CameraError, Intruder, LedgerError, PartHeld, SorterError
 
 FIRST_PAUSE = 0.5
 """s before the first new try; doubled after every one that fails."""
@@ -42,6 +42,7 @@ class Hold:
 
     Attributes:
         cause: What failed last.
+        intruder: What was over the table when it was looked at last, or None: nothing, or that is not why it holds.
         since: When it began, s of the cell's clock.
         next_try: When to try again, s of the cell's clock.
         clear_since: Since when nothing of it is to be seen any more, s of the cell's clock; infinite while it is.
@@ -49,6 +50,7 @@ class Hold:
 
     def __init__(self, cause: SorterError, now: float) -> None:
         self.cause = cause
+        self.intruder: Intruder | None = None
         self.since = now
         self.next_try = now
         self.clear_since = math.inf
@@ -63,13 +65,15 @@ class Hold:
         self.cause = cause
         self.clear_since = math.inf
         if isinstance(cause, Intruder):
+            self.intruder = cause
             self.next_try = now + GLANCE
             return
         self.next_try = now + self._pause
         self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
 
-    def clear(self, now: float) -> None:
-        """Nothing of the cause is to be seen now."""
+    def clear(self, intruder: Intruder, now: float) -> None:
+        """The camera shows that what was over the table is not there now."""
+        self.cause = intruder
         self.clear_since = min(self.clear_since, now)
 
     @property
@@ -129,12 +133,13 @@ class Holding:
         if self._requests.paused or (hold is not None and rig.clock.now() < hold.next_try):
             rig.clock.sleep(SLICE)
             return "held_on"
-        if hold is not None and isinstance(hold.cause, Intruder):
-            return self._wait_for_clear_view(hold, looker)
         if hold is not None and isinstance(hold.cause, CameraError):
             rig.camera.close()
             rig.camera.open()
-        elif hold is not None:
+        if hold is not None and hold.intruder is not None:
+            # What was seen may still be there, though the camera has been away since.
+            return self._wait_for_clear_view(hold, hold.intruder, looker)
+        if hold is not None and isinstance(hold.cause, LedgerError):
             self._outcomes.write()
             rig.ledger.note("resumed", rig.clock.now(), held_s=rig.clock.now() - hold.since)
         return "resumed"
@@ -146,11 +151,11 @@ class Holding:
             for observer in self._rig.observers:
                 observer.resumed(self._rig.clock.now())
 
-    def _wait_for_clear_view(self, hold: Hold, looker: Looker) -> str:
+    def _wait_for_clear_view(self, hold: Hold, intruder: Intruder, looker: Looker) -> str:
         """Nothing moves before the table is clear, and somebody says so or the configuration allows to go on."""
         clock, patience = self._rig.clock, self._rig.config.cycle.resume_when_clear_s
         looker.check(looker.capture(clock.now()))
-        hold.clear(clock.now())
+        hold.clear(intruder, clock.now())
         if self._may_go_on() or (patience > 0.0 and clock.now() - hold.clear_since >= patience):
             self.overcome(Intruder)
             return "resumed"

@@ -46,6 +46,7 @@ TRANSITIONS: list[dict[str, Any]] = [
     {"trigger": "woken", "source": State.IDLE, "dest": State.CAPTURE},
     {"trigger": "held", "source": _WORKING, "dest": State.HELD},
     {"trigger": "resumed", "source": State.HELD, "dest": State.CAPTURE},
+    {"trigger": "carried_on", "source": State.HELD, "dest": State.PLACE},
     {"trigger": "rehomed", "source": State.HELD, "dest": State.HOMING},
     {"trigger": "stopped", "source": [*_WORKING, State.HELD], "dest": State.STOPPED},
     {"trigger": "faulted", "source": [*_WORKING, State.HELD, State.STOPPED], "dest": State.FAULT},

@@ -29,7 +29,7 @@ _BEHIND, _AHEAD = 0.3, 0.1
 stamp of a picture."""
 
 Watch = Callable[[Hidden], AbstractContextManager[None]]
-"""In force while the arm goes down."""
+"""In force while the arm is over the table."""
 
 
 class Motions:
@@ -42,7 +42,7 @@ class Motions:
         positions: ndarray of shape (J,): where the joints stood then, rad.
         blocked: The jaws came down on something when they last went for a part.
         retreat: The way out of the bin over which the last part was let go, not yet carried out; or None.
-        stranded: The arm stands where it was stopped on its way down, over the table.
+        stranded: The arm stands where it was stopped on its way, over the table.
 
     Args:
         rig: The cell.
@@ -68,7 +68,7 @@ class Motions:
         Args:
             rig: The rig.
             view: ndarray of shape (N, 2): outline in `table` that the camera must see past the arm, mm.
-            watch: In force while the arm goes down; may end that move, and raises `Intruder` then.
+            watch: In force while the arm is over the table; may end that move, and raises `Intruder` then.
         """
         self._rig, self.view, self.planner, self._watch = rig, view, rig.planner, watch
 
@@ -143,34 +143,58 @@ class Motions:
 
         Raises:
             Interrupted: A move was ended early by a stop.
-            Intruder: The way down was, by something that reaches over the table.
+            Intruder: One was, by something that reaches over the table.
         """
         arrival = self._go_down(plan.approach, plan.opening)
         if proof.obstruction(arrival, plan.approach) is not None:
             self.home()
             return False
         try:
-            stuck = proof.obstruction(self.follow(plan.push), plan.push) is not None
+            stuck = proof.obstruction(self._follow_watched(plan.push), plan.push) is not None
         except MotionTimeout:
             # What is pushed may jam among its neighbours; the driver has let go of the pressure and holds.
             stuck = True
         if stuck:
             self.home()
             return False
-        self.follow(plan.retreat)
+        self._follow_watched(plan.retreat)
         return True
+
+    def carry(self, plan: PickPlan) -> tuple[PickPlan, MoveReport]:
+        """Take what the jaws hold to where it is let go; from where the arm was stopped on its way, the rest of it.
+
+        Returns:
+            The plan as it was carried out, and how the arm arrived.
+
+        Raises:
+            Interrupted: The move was ended early by a stop.
+            Intruder: It was, by something that reaches over the table; the jaws still hold.
+            LimitViolation: The arm no longer stands on its way.
+        """
+        if self.stranded:
+            plan = self.planner.plan_rest(plan, self._rig.arm.state().positions)
+        return plan, self._follow_watched(plan.carry)
 
     def _go_down(self, approach: Trajectory, opening: float) -> MoveReport:
         """An approach under watch; from deep in a bin the jaws move when they are past what lies there."""
         out_of_bin = self.planner.rise_time(approach, self.climb) if self.climb else 0.0
         self.retreat = None
+        return self._follow_watched(approach, opening, out_of_bin)
+
+    def _follow_watched(self, move: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
+        """As `follow`, under watch.
+
+        Raises:
+            Interrupted: See `follow`.
+            Intruder: The move was ended by something that reaches over the table.
+        """
         self.stranded = True
-        with self._watch(self._way_down(approach)):
-            arrival = self.follow(approach, opening, out_of_bin)
+        with self._watch(self._hidden_on(move)):
+            arrival = self.follow(move, opening, after)
         self.stranded = False
         return arrival
 
-    def _way_down(self, move: Trajectory) -> Hidden:
+    def _hidden_on(self, move: Trajectory) -> Hidden:
         """What of the table the arm hides, by time, in a move that begins now; see `Planner.hidden`."""
         began, planner = self._rig.clock.now(), self.planner
 

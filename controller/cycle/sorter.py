@@ -173,4 +173,6 @@ class Sorter:
         return "held_on" if self.machine.state is State.HELD else "held"
 
     def _hold(self) -> str:
-        return self._holding.step(self._handlers.looker)
+        """What follows a hold; what was stopped on its way to a bin is still in the jaws, and goes on first."""
+        trigger = self._holding.step(self._handlers.looker)
+        return "carried_on" if trigger == "resumed" and self._outcomes.at_work is not None else trigger

@@ -143,6 +143,30 @@ def straight(arm: ArmDescription, posture: Array, by: Array) -> Leg:
     return Leg(lambda t: solve(t)[0], True, length, travel, q[0], q[-1])
 
 
+def rest_of(arm: ArmDescription, positions: Array, start: Array) -> Leg:
+    """What is left of a move from its pose that is nearest to another.
+
+    Args:
+        arm: The arm.
+        positions: ndarray of shape (N, J): the move, rad.
+        start: ndarray of shape (J,), rad.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    speeds = speed_limits(arm)
+    left = positions[int(np.abs((positions - start) / speeds).max(axis=1).argmin()) :]
+    phase = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(left, axis=0) / speeds, axis=1))])
+    # A move dwells where it ends: of its poses those that lie some way apart.
+    wanted = np.linspace(0.0, phase[-1], int(phase[-1] / KNOT_SPACING) + 1)
+    apart = np.unique(np.searchsorted(phase, wanted).clip(max=len(phase) - 1))
+    if len(apart) < _CUBIC:
+        return line(arm, left[0], left[-1])
+    spline = make_interp_spline(phase[apart] / phase[apart[-1]], left[apart])
+    way = np.linalg.norm(np.diff(points(arm, left[apart])[:, 3], axis=0), axis=1)
+    travel = phase[apart] / phase[apart[-1]], np.concatenate([[0.0], np.cumsum(way)])
+    return Leg(lambda t: np.asarray(spline(t)), True, float(phase[-1]), travel, left[0], left[apart[-1]])
+
+
 def branch_of(arm: ArmDescription, posture: Array) -> tuple[float, float, int]:
     """Pitch and roll of the tool (rad) and the index of the branch that gives this posture back.
 

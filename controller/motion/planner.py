@@ -29,7 +29,7 @@ from controller.motion.ground import Push
 from controller.motion.kinematics import points
 from controller.motion.moves import Moves, first
 from controller.motion.overhead import CLEARANCE, PART_BELOW_TIPS, Overhead
-from controller.motion.path import Leg, line, straight, stroke
+from controller.motion.path import Leg, line, rest_of, straight, stroke
 from controller.motion.postures import Postures, Stop
 from controller.motion.view import discs, hides
 
@@ -162,6 +162,22 @@ class Planner:
         retreat = self._retreat(place, out, inside, view)
         self.gate.check_moves((retreat,), carry.positions[-1], grasp.opening)
         return replace(plan, bin=bin, carry=carry, retreat=retreat)
+
+    def plan_rest(self, plan: PickPlan, start: Array) -> PickPlan:
+        """The same plan with what is left of its carry, which has ended early.
+
+        Args:
+            plan: The plan.
+            start: ndarray of shape (J,): measured joint angles, on the way of the carry, rad.
+
+        Raises:
+            LimitViolation: The arm stands elsewhere.
+        """
+        q0 = self._moves.start(start)
+        held = self.part_mass, self.part_mass
+        carry = self._moves.along("carry", [rest_of(self.arm, plan.carry.positions, q0)], [], payload=held)
+        self.gate.check(carry, q0, opening=plan.grasp.opening)
+        return replace(plan, carry=carry)
 
     def plan_nudge(
         self,

@@ -12,6 +12,7 @@ from controller.errors import (
     LedgerError,
     PartHeld,
     PictureUnusable,
+    SorterError,
 )
 from tests.unit.cycle.bench import IMAGE, Bench, BenchCamera, part
 
@@ -227,6 +228,52 @@ def test_a_hand_on_the_way_down_stops_the_arm_and_holds_the_cell(monkeypatch: py
     assert bench.overcome == 1
 
 
+@pytest.mark.safety("SR-35")
+def test_a_hand_over_the_way_to_the_bin_stops_the_arm_which_goes_on_from_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.reach_over_on_the_way(())
+    watched: list[float] = []
+
+    def reach_over(now: float) -> None:
+        if "carry" in bench.commands and bench.camera.listener is not None:
+            watched.append(now)
+            if len(watched) == 40:
+                bench.camera.listener(Frame(1, now, IMAGE))
+
+    bench.on_sleep = reach_over
+    bench.run()
+    assert isinstance(bench.held_for[0], Intruder)
+    assert bench.commands[2:9] == ["approach", "grip", "carry", "stop", "clear_stop", "carry", "grip"]
+    assert [(o.result, o.attempts) for o in bench.outcomes] == [(Result.PLACED, 1)]
+    held = bench.states.index(S.HELD)
+    assert bench.states[held - 1 : held + 2] == [S.PLACE, S.HELD, S.PLACE]
+    assert bench.overcome == 1
+    whole, rest = [command for command in bench.arm.commands if command.get("name") == "carry"]
+    assert rest["to_deg"] == pytest.approx(whole["to_deg"], abs=1e-3)
+    assert rest["from_deg"] != pytest.approx(whole["from_deg"], abs=1.0)
+
+
+@pytest.mark.safety("SR-35")
+def test_what_was_over_the_table_may_still_be_there_when_the_camera_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.reach_over_on_the_way({1})
+    bench.intrude(looks=range(2, 30))
+    moves: list[str] = []
+
+    def held(cause: SorterError, at: float) -> None:
+        bench.held_for.append(cause)
+        moves.append(bench.commands[-1])
+        if len(bench.held_for) == 1:
+            bench.camera.failures = [CameraLost("camera", "read", "unplugged")] * 3
+
+    monkeypatch.setattr(bench, "held", held)
+    bench.run()
+    assert [type(cause) for cause in bench.held_for] == [Intruder, CameraLost, Intruder]
+    assert moves == ["clear_stop"] * 3
+    assert bench.overcome == 1
+    assert bench.results == [Result.PLACED]
+
+
 @pytest.mark.safety("SR-35", "SR-20")
 def test_a_stop_asked_for_when_a_hand_has_stopped_the_arm_still_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, 0))
@@ -246,7 +293,7 @@ def test_a_glance_that_comes_after_the_move_stops_nothing(monkeypatch: pytest.Mo
     listeners = []
     monkeypatch.setattr(BenchCamera, "glance", lambda camera, listener: listeners.append(listener))
     bench.reach_over_on_the_way(())
-    bench.on_command = lambda c: listeners[0](Frame(1, 0.0, IMAGE)) if c.get("name") == "carry" else None
+    bench.on_command = lambda c: listeners[0](Frame(1, 0.0, IMAGE)) if c["command"] == "grip" else None
     bench.run()
     assert bench.results == [Result.PLACED]
     assert bench.held_for == []

@@ -221,6 +221,36 @@ def test_wherever_a_plan_is_stopped_the_arm_gets_home_and_parks(name: str) -> No
             stops += 1
 
 
+@given(seed=st.integers(0, 10_000), where=st.integers(0, 5), share=st.floats(0.0, 1.0))
+@settings(max_examples=25, deadline=None)
+@pytest.mark.parametrize("name", ["reactorx_150", "open_manipulator_x"])
+def test_a_carry_that_was_stopped_goes_on_along_the_same_way(name: str, seed: int, where: int, share: float) -> None:
+    arm = load_arm(name)
+    planner = Planner(arm, calibration(), BINS)
+    rng = np.random.default_rng(seed)
+    try:
+        plan = planner.plan_pick(scatter(rng, 1)[0], [], BINS[where], BINS[where].center, np.array(arm.ready))
+    except PlanError:
+        return
+    whole = plan.carry.positions
+    stands = whole[round(share * (len(whole) - 1))]
+    rest = planner.plan_rest(plan, stands + rng.normal(0.0, 0.003, len(stands)))
+    way = rest.carry.positions
+    # Where it stands is known to 0.2 deg only, and the arm is led from the way to the way.
+    assert np.abs(way[0] - stands).max() < 0.03
+    assert np.abs(way[-1] - whole[-1]).max() < 1e-6
+    off = np.abs(way[:, None] - whole[None]).max(axis=2).min(axis=1)
+    # Between two of its poses, 10 ms apart, the whole way is not known any better.
+    assert off.max() < 0.5 * np.abs(np.diff(whole, axis=0)).max() + 1e-6
+    assert rest.retreat is plan.retreat
+
+
+def test_a_carry_does_not_go_on_from_beside_its_way() -> None:
+    plan = PLANNER.plan_pick(part(Shape.SQUARE, 35.0, at(230.0, 0.0)), [], BINS[0], BINS[0].center, READY)
+    with pytest.raises(LimitViolation, match="away from the start"):
+        PLANNER.plan_rest(plan, plan.carry.positions[0] + np.array([0.0, 0.0, 0.2, 0.0, 0.0]))
+
+
 @pytest.mark.parametrize(
     ("name", "pose"),
     [
