@@ -1,4 +1,4 @@
-"""Watches the table while the arm goes down to it: what reaches over it meanwhile stops the arm on its path.
+"""Watches the table while the arm is over it: what reaches over it meanwhile stops the arm on its path.
 
 Between two looks the camera still runs. What it shows on the way costs the cycle no time: it is compared where it
 comes from, and the arm is told to stand by whoever sees the hand first.
