@@ -139,11 +139,10 @@ class Body:
         if tripped:
             # Until it is cleared goals are refused; the joints' from before must not come into force again. The jaws'
             # must: they squeeze what they hold.
-            jaw = self.gripper.servo_id
-            goal = self.bus.read_register(jaw, "Goal_Position")
+            jaws = self.bus.read_register(self.gripper.servo_id, "Goal_Position")
             self._write_watchdog(0)
             self.send_goals(self.state("clear Bus_Watchdog").positions)
-            self.bus.sync_write("Goal_Position", {jaw: goal})
+            bring_up.set_register(self.bus, self.gripper, "Goal_Position", jaws)
         self._write_watchdog(round(WATCHDOG / WATCHDOG_UNIT))
         return tripped
 

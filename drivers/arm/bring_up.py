@@ -39,10 +39,10 @@ def take_inventory(bus: Bus, servos: Sequence[Servo]) -> dict[int, Identity]:
 
     Raises:
         BusError: code `timeout` (servos missing, all of them named), `corrupt` (perhaps two servos share an ID)
-            or `refused` (wrong models).
+            or `refused` (wrong models, or firmware without a Bus Watchdog).
     """
     found: dict[int, Identity] = {}
-    missing, wrong = [], []
+    missing, wrong, old = [], [], []
     code, remedy = "timeout", "check the 12 V supply, the cables from servo to servo, IDs and baud rate"
     for servo in servos:
         try:
@@ -57,10 +57,15 @@ def take_inventory(bus: Bus, servos: Sequence[Servo]) -> dict[int, Identity]:
         found[servo.servo_id] = identity
         if identity.model_number != servo.model.number:
             wrong.append(f"{servo.title} is {model_name(identity.model_number)}, not {servo.model.name}")
+        elif identity.firmware < servo.model.firmware:
+            old.append(f"{servo.title} has firmware {identity.firmware}, older than {servo.model.firmware}")
     if missing:
         raise BusError(bus.name, "inventory", code, "no good answer from " + ", ".join(missing), remedy)
     if wrong:
         raise BusError(bus.name, "inventory", "refused", "; ".join(wrong), "choose the right --arm, or correct the IDs")
+    if old:
+        remedy = "renew it with the DYNAMIXEL Wizard: the Bus Watchdog stops an arm whose computer has failed"
+        raise BusError(bus.name, "inventory", "refused", "; ".join(old), remedy)
     # Pings are always answered, reads and writes only at this level. Nobody answers a broadcast, so it needs none.
     bus.sync_write("Status_Return_Level", {servo.servo_id: 2 for servo in servos})
     return found

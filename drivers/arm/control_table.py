@@ -160,6 +160,7 @@ class Model:
         position_gains: (P, I, D) from the factory.
         shutdown: Factory Shutdown: the hardware errors that cut the torque.
         load_full: Value at address 126 that is 100 %: Current_Limit, or 1000 for a load in 0.1 %.
+        firmware: Firmware_Version that brought the Bus Watchdog; 0 where every one has it.
     """
 
     name: str
@@ -167,11 +168,12 @@ class Model:
     position_gains: tuple[int, int, int]
     shutdown: int
     load_full: int
+    firmware: int = 38
 
 
 _MODELS = (
-    Model("XL330-M077", 1190, (400, 400, 0), 53, 1750),
-    Model("XL330-M288", 1200, (400, 0, 0), 53, 1750),
+    Model("XL330-M077", 1190, (400, 400, 0), 53, 1750, 0),
+    Model("XL330-M288", 1200, (400, 0, 0), 53, 1750, 0),
     Model("XL430-W250", 1060, (640, 0, 4000), 52, 1000),
     Model("XC430-W150", 1070, (700, 0, 0), 52, 1000),
     Model("XC430-W240", 1080, (700, 0, 0), 52, 1000),

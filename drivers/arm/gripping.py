@@ -132,7 +132,7 @@ def move_jaws(body: Body, opening: float, effort: float, stop_requested: StopReq
             continue
         now = clock.now()
         if stop_requested():
-            bus.sync_write("Goal_Position", {servo.servo_id: ticks_from_angle(jaw.position)})
+            set_register(bus, servo, "Goal_Position", ticks_from_angle(jaw.position))
             reached = opening_from_angle(gripper, jaw.position)
             return GripReport(False, False, reached, -opening_sign(gripper) * jaw.load)
         if not detector.stopped(now, jaw.position):

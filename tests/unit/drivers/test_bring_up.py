@@ -74,6 +74,16 @@ def test_another_model_is_named() -> None:
         bench.arm.open()
 
 
+@pytest.mark.safety("SR-25")
+def test_firmware_without_a_bus_watchdog_is_named() -> None:
+    bench = ArmBench()
+    for servo_id, version in ((SHOULDER, 37), (WRIST, 38)):
+        bench.bus.servo(servo_id).table.set("Firmware_Version", version)
+    with pytest.raises(BusError, match=r"servo 2 \(shoulder\) has firmware 37, older than 38.*: renew it") as caught:
+        bench.arm.open()
+    assert "wrist" not in str(caught.value)
+
+
 @pytest.mark.safety("SR-06")
 def test_a_fault_at_start_is_told_and_not_taken_for_absence() -> None:
     bench = ArmBench()

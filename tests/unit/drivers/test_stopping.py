@@ -11,6 +11,7 @@ from controller.domain import Array
 from controller.errors import MotionTimeout, ServoFault
 from drivers.arm.conversions import TICKS_PER_RAD, opening_from_angle
 from drivers.arm.following import JAW_TOLERANCE
+from drivers.arm.gripping import move_jaws
 from drivers.arm.streaming import SHORTEST_RAMP
 from sim_backends.virtual_dynamixel.faults import Fault
 from tests.contract.arm_suite import STANDS
@@ -139,6 +140,23 @@ def test_a_stop_ends_a_grip_where_the_jaws_are() -> None:
         report = arm.grip(32.0)
         assert not report.finished
         assert 35.0 < report.opening < 69.0
+        bench.plant.advance(0.5)
+        assert abs(arm.state().opening - report.opening) < 8.0  # what the jaws coast at half speed
+
+
+def test_a_stop_that_the_jaws_did_not_hear_is_told_again() -> None:
+    bench = ArmBench()
+    with bench.ready() as arm:
+        arm.grip(70.0)
+
+        def stop_on_a_bad_line() -> bool:
+            if bench.plant.now() < began + 0.1:
+                return False
+            bench.bus.faults.once(Fault.LOST)
+            return True
+
+        began = bench.plant.now()
+        report = move_jaws(arm._body, 32.0, 1.0, stop_on_a_bad_line)
         bench.plant.advance(0.5)
         assert abs(arm.state().opening - report.opening) < 8.0  # what the jaws coast at half speed
 
