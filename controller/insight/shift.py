@@ -10,7 +10,7 @@ from typing import Any
 
 from controller.domain import Result
 from controller.insight.evaluation import bounds
-from controller.insight.shift_time import OFF, Run, Span, date, number, runs_of, spans_of
+from controller.insight.shift_time import OFF, TICK, Run, Span, date, number, runs_of, spans_of
 from controller.insight.statistics import spread
 from controller.ledger.events import EASED, OPERATOR, WARNING, Doing
 from controller.ledger.selection import Selection
@@ -53,8 +53,7 @@ def figures(
         JSON; times in s, dates as ISO 8601.
     """
     runs = runs_of(ledger, now)
-    # The last record itself still belongs to the period.
-    until = until or max((run.end for run in runs), default=now) + timedelta(milliseconds=1)
+    until = until or max((run.end for run in runs), default=now) + TICK
     since = since or until - SHIFT
     # What lies before the first record is not known to be downtime.
     first = min((run.begin for run in runs), default=since)

@@ -20,6 +20,8 @@ OFF = "off"
 """The program was not running."""
 _SHORTEST = timedelta(seconds=1)
 """A shorter rest of a period is no time off."""
+TICK = timedelta(milliseconds=1)
+"""The last record of a run still belongs to it, and to a period that ends with it: both end so much later."""
 # What lies beyond was not written by this program.
 _YEARS = range(1970, 2500)
 _LONGEST_RUN = 3.2e9  # s, a hundred years
@@ -121,12 +123,14 @@ def _spans_within(ledger: LedgerReader, run: Run, begin: datetime, end: datetime
     present = Span(str(Doing.STOPPED), begin, end)
     for row in ledger.rows("events", before, last=1):
         present = _span(row["details"], begin, end)
-    for row in ledger.rows("events", replace(run.within(begin, end), kind=STATE)):
-        at = run.at(row["at_s"])
+    ends = end == run.end
+    for row in ledger.rows("events", replace(run.within(begin, end + ends * TICK), kind=STATE)):
+        at = min(run.at(row["at_s"]), end)
         if at > present.begin:
             yield replace(present, end=at)
         present = _span(row["details"], at, end)
-    if present.end > present.begin:
+    # A fault that ended its run took no time, and is told all the same.
+    if end > present.begin or (ends and present.code):
         yield present
 
 

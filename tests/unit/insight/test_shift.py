@@ -154,6 +154,18 @@ def test_a_real_run_goes_on_until_now_and_a_hold_before_the_period_still_holds(p
     day.ledger.close()
 
 
+def test_a_fault_that_is_the_last_record_of_its_run_is_among_the_alarms(path: Path) -> None:
+    day = Day(path)
+    day.start()
+    day.part(10.0)
+    day.chronicle.faulted(_stuck(), day.clock.now())
+    day.ledger.close()
+    found = counted(path)
+    assert [(alarm["code"], alarm["lasted_s"]) for alarm in found["alarms"]] == [("motion_timeout", 0.0)]
+    assert [(line["code"], line["times"]) for line in found["downtime"]] == [("motion_timeout", 1)]
+    check_page(page(found))
+
+
 def _stuck() -> Any:
     from controller.errors import MotionTimeout
 
