@@ -29,6 +29,9 @@ _KEY: dict[Table, str] = {
     "days": "day, mode, label, bin, result",
 }
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a formula begins with in the usual spreadsheets. Source: OWASP, "CSV Injection"."""
+
 _OPEN_TARGETS = """
     SELECT DISTINCT run_id, target_id FROM intents
     EXCEPT SELECT run_id, target_id FROM outcomes
@@ -310,5 +313,10 @@ def _bytes_as_text(value: object) -> str:
 
 def _csv_line(values: list[str] | list[object]) -> str:
     out = io.StringIO()
-    csv.writer(out, lineterminator="").writerow(values)
+    csv.writer(out, lineterminator="").writerow([_inert(value) for value in values])
     return out.getvalue()
+
+
+def _inert(value: object) -> object:
+    """Text that a spreadsheet would take for a formula, as text: whoever names a class or a bin must not run there."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sqlite3
 from collections.abc import Generator
@@ -10,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from controller.domain import Result
+from controller.domain import Outcome, Result
 from controller.errors import LedgerError
 from controller.ledger import LedgerView, SqliteLedger
-from tests.unit.ledger.nouns import opened, outcome, plan
+from tests.unit.ledger.nouns import opened, outcome, plan, target
 
 
 @pytest.mark.safety("SR-40")
@@ -54,6 +55,16 @@ def test_export_quotes_what_csv_needs_quoted(ledger: SqliteLedger) -> None:
     ledger.note("fault", 1.0, text='a "b", c')
     (line,) = list(ledger.export("csv", "events"))[1:]
     assert line.endswith('"{""text"": ""a \\""b\\"", c""}"')
+
+
+def test_no_name_is_a_formula_in_a_spreadsheet(ledger: SqliteLedger) -> None:
+    final = outcome("t1")
+    for number, reason in enumerate(("=1+1", "-2", "@sum", "in left")):
+        ledger.conclude(Outcome(target(f"t{number}"), final.plan, final.result, reason, 0, -4.5, 8.5))
+    rows = list(csv.DictReader(ledger.export("csv")))
+    assert [row["reason"] for row in rows] == ["'=1+1", "'-2", "'@sum", "in left"]
+    assert {row["started_at_s"] for row in rows} == {"-4.5"}
+    assert next(ledger.rows("outcomes"))["reason"] == "=1+1"
 
 
 def test_a_view_of_a_missing_or_damaged_ledger_is_refused(tmp_path: Path) -> None:
