@@ -31,7 +31,7 @@ def real_devices(config: CellConfig, arm: ArmDescription, options: BackendOption
         settings=config.camera.settings,
     )
     watched, driver = WatchedCamera(camera, clock), DynamixelArm(arm, SerialStream(config.arm.port), clock)
-    return Devices(watched, driver, clock, concerns=Concerns(watched, driver.bus.statistics))
+    return Devices(watched, driver, clock, concerns=Concerns(watched, driver.bus.statistics, camera))
 
 
 def plugged_in() -> tuple[CameraListing, ...]:

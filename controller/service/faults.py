@@ -103,8 +103,8 @@ _ROWS: tuple[Fault, ...] = (
     Fault("picture_covered", "view covered", "little of the still scenery is to be seen", _A.HELD, "clear the view"),
     Fault("light_drifting", "light is changing", "brightness of the still scenery, halfway to where it is held for",
           _A.WARNED, "see what has changed; shade the cell or light it better"),
-    Fault("pictures_damaged", "damaged pictures", "more than 5 % of the latest hundred lack their lower part; each is "
-          "passed over", _A.WARNED, "check cable and USB hub"),
+    Fault("pictures_damaged", "damaged pictures", "more than 5 % of the latest hundred lack their lower part, or "
+          "cannot be decoded; each is passed over", _A.WARNED, "check cable and USB hub"),
     # --- parts ---
     Fault("part_unknown", "unknown or doubtful part", "low confidence, no rule, refused by localisation", _A.GOES_ON,
           "sort it by hand, or teach it"),

@@ -53,6 +53,7 @@ class V4l2Camera:
     Attributes:
         settings_in_force: What the device says of every setting it has, since it was opened last.
         refused_settings: What was asked for and is not in force.
+        good_frames: Frames decoded.
         bad_frames: Frames dropped because they were damaged, of another size or out of order.
         reopened: How often it came back after a loss.
 
@@ -90,6 +91,7 @@ class V4l2Camera:
         self._one_at_a_time = threading.Lock()
         self._frames = 0
         self.reopened = 0
+        self.good_frames = 0
         self.bad_frames = 0
         self.settings_in_force: dict[str, float] = {}
         self.refused_settings: tuple[Refused, ...] = ()
@@ -209,6 +211,7 @@ class V4l2Camera:
                 self._glanced = exposure.ended
                 listener(Frame(self._frames, exposure.ended, _small(image), self._device))
         with self._changed:
+            self.good_frames += image is not None
             self.bad_frames += stream.bad_frames - bad
             self._lost = None
             if exposure is not None:
