@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from controller.cycle.requests import Interrupted
+
 
 @contextmanager
 def on_interrupt(stop: Callable[[], None], message: str) -> Iterator[list[int]]:
@@ -32,9 +34,42 @@ def on_interrupt(stop: Callable[[], None], message: str) -> Iterator[list[int]]:
 
 
 @contextmanager
-def on_hangup(reload: Callable[[], None]) -> Iterator[None]:
-    """Call `reload` on SIGHUP, as a service manager sends it."""
-    before = signal.signal(signal.SIGHUP, lambda number, frame: reload())
+def ends_question() -> Iterator[None]:
+    """Inside `on_interrupt` and around a question to a person: what asks for the end ends the question too.
+
+    Otherwise the question would wait on for its answer, and the end for the question.
+
+    Raises:
+        Interrupted: The end was asked for.
+    """
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        handler = before[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
+        raise Interrupted
+
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def on_hangup(reload: Callable[[], None], stop: Callable[[], None]) -> Iterator[None]:
+    """Call `reload` on SIGHUP, as a service manager or a person sends it; `stop` when the terminal was closed."""
+    at_terminal = os.isatty(2)
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        # Of a terminal that was closed nothing is left to ask.
+        closed = at_terminal and not os.isatty(2)
+        (stop if closed else reload)()
+
+    before = signal.signal(signal.SIGHUP, handle)
     try:
         yield
     finally:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from types import TracebackType
 
 from rich.console import Console
@@ -37,7 +39,8 @@ class Progress(Observer):
     def __enter__(self) -> Progress:
         """Show the live line."""
         if self._status is not None:
-            self._status.start()
+            with suppress(OSError):
+                self._status.start()
         return self
 
     def __exit__(
@@ -45,11 +48,22 @@ class Progress(Observer):
     ) -> None:
         """Take the live line away."""
         if self._status is not None:
-            self._status.stop()
+            with suppress(OSError):
+                self._status.stop()
+
+    @contextmanager
+    def away(self) -> Iterator[None]:
+        """No live line inside: it would wipe out the question to a person that is on the screen."""
+        self.__exit__(None, None, None)
+        try:
+            yield
+        finally:
+            self.__enter__()
 
     def say(self, line: str) -> None:
-        """One lasting line."""
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        """One lasting line. A terminal that was closed takes none: for that no run ends."""
+        with suppress(OSError):
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def entered(self, state: State, at: float) -> None:
         """Show the state."""
@@ -99,7 +113,9 @@ class Progress(Observer):
     def _update(self, at: float) -> None:
         if self._status is not None:
             done = sum(self._count[result] for result in _DONE)
-            self._status.update(f"{at:6.1f} s  {self._state.value:<9} {done} placed, {self._seen} seen on the table")
+            line = f"{at:6.1f} s  {self._state.value:<9} {done} placed, {self._seen} seen on the table"
+            with suppress(OSError):
+                self._status.update(line)
 
     @staticmethod
     def _name(plan: PickPlan) -> str:

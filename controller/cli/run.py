@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +18,7 @@ from rich.table import Table
 from controller.backends import Level, Mode
 from controller.cli.classes import ClassesFolder, with_classes
 from controller.cli.config import default_config, taught_file
-from controller.cli.interrupts import exit_code, on_hangup, on_interrupt
+from controller.cli.interrupts import ends_question, exit_code, on_hangup, on_interrupt
 from controller.cli.output import stderr, stdout
 from controller.cli.progress import Progress
 from controller.config.cell import CellConfig, load_cell
@@ -121,12 +122,12 @@ def run(
             disturb=disturb,
             observers=(cycle_log, progress, *([_Intentions(say)] if rehearsed else [])),
             watch=film.watch if film is not None else lambda devices: (),
-            confirm=_ask if step else lambda plan: True,
+            confirm=partial(_ask, progress) if step else lambda plan: True,
             say=say,
         )
     )
     stopping = on_interrupt(session.stop, "stopping: the arm parks; once more gives up waiting")
-    reloading = on_hangup(session.reload) if mode is Mode.REAL else nullcontext()
+    reloading = on_hangup(session.reload, session.stop) if mode is Mode.REAL else nullcontext()
     with logging_to_its_place(cycle_log), stopping as received, reloading, progress, film or nullcontext():
         try:
             session.run()
@@ -175,8 +176,9 @@ def _cell(config: Path | None, mode: Mode, arm: str | None, speed: float | None)
     return cell.model_copy(update={"arm": cell.arm.model_copy(update=changes)}) if changes else cell
 
 
-def _ask(plan: PickPlan) -> bool:
-    return typer.confirm(f"pick the {_what(plan)} into {plan.bin.name}?", default=True, err=True)
+def _ask(progress: Progress, plan: PickPlan) -> bool:
+    with progress.away(), ends_question():
+        return typer.confirm(f"pick the {_what(plan)} into {plan.bin.name}?", default=True, err=True)
 
 
 def _what(plan: PickPlan) -> str:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import threading
-
 from controller.ports import Arm
 
 
 class Interrupted(Exception):
-    """A move was ended early by a stop."""
+    """A move, or a question to a person, was ended early by a stop."""
 
 
 class Requests:
     """Keeps what was asked for, and tells the arm at once.
+
+    Plain flags: a signal's handler may set one in the thread that is about to clear it, and must not wait for a lock.
 
     Args:
         arm: The cell's.
@@ -20,33 +20,33 @@ class Requests:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._stop = threading.Event()
-        self._pause = threading.Event()
-        self._was_paused = threading.Event()
-        self._go_on = threading.Event()
+        self._stop = False
+        self._pause = False
+        self._was_paused = False
+        self._go_on = False
 
     def stop(self) -> None:
         """Let the arm end its move along the path; a stop is for good, and ends a pause."""
-        self._stop.set()
+        self._stop = True
         self._arm.request_stop()
         self.end_pause()
 
     def pause(self) -> None:
         """Hold on the path of the move under way, else before the next. A stop ends it."""
-        self._pause.set()
-        self._was_paused.set()
+        self._pause = True
+        self._was_paused = True
         self._arm.pause()
-        if self._stop.is_set():
+        if self._stop:
             self.end_pause()
 
     def resume(self) -> None:
         """Go on after a pause, or when what somebody has to put right is put right."""
         self.end_pause()
-        self._go_on.set()
+        self._go_on = True
 
     def end_pause(self) -> None:
         """No pause is in force any more."""
-        self._pause.clear()
+        self._pause = False
         self._arm.resume()
 
     def halt(self) -> None:
@@ -62,12 +62,12 @@ class Requests:
     @property
     def stopped(self) -> bool:
         """Somebody has asked for a stop."""
-        return self._stop.is_set()
+        return self._stop
 
     @property
     def paused(self) -> bool:
         """A pause is in force."""
-        return self._pause.is_set()
+        return self._pause
 
     @property
     def stands(self) -> bool:
@@ -77,17 +77,17 @@ class Requests:
     @property
     def was_paused(self) -> bool:
         """There was a pause since `took_pause` was called last."""
-        return self._was_paused.is_set()
+        return self._was_paused
 
     def took_pause(self) -> None:
         """What follows from a pause is done."""
-        self._was_paused.clear()
+        self._was_paused = False
 
     @property
     def may_go_on(self) -> bool:
         """Somebody has said to go on since `must_be_told` was called last."""
-        return self._go_on.is_set()
+        return self._go_on
 
     def must_be_told(self) -> None:
         """What was said before does not count for what comes."""
-        self._go_on.clear()
+        self._go_on = False

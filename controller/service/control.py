@@ -230,8 +230,10 @@ class ControlServer:
         try:
             request = parse(line)
             if request.command == "stop" and not request.given:
+                # Before anything is said of it: a terminal or a journal that is stuck may hold up whoever logs.
+                done = outcome(self._commands.stop)
                 _log.warning("stop asked for by user %d, process %d", client.peer.uid, client.peer.pid)
-                self._answer(client, request, outcome(self._commands.stop))
+                self._answer(client, request, done)
                 self._reading.offer(lambda: self._commanded("stop", client.peer.uid), lambda: None)
                 return
             self._spend(client)

@@ -49,9 +49,12 @@ class InstanceLock:
                 raise InstanceBusy(
                     f"{self._path.parent} is in use by process {holder}", "stop that one or wait for its end"
                 ) from error
-        file.truncate(0)
-        file.write(f"{os.getpid()}\n")
-        file.flush()
+        try:
+            file.truncate(0)
+            os.write(file.fileno(), f"{os.getpid()}\n".encode())
+        except OSError as error:
+            file.close()
+            raise LedgerError(f"{self._path}: {error.strerror}", "free some space, make the folder writable") from error
         self._file = file
         return self
 

@@ -114,6 +114,8 @@ class Operation(Observer):
         self._recover = recover
         self._recovery_due = False
         self._say = say
+        self._said = ""
+        self._telling = threading.Lock()
         self._now = now
         self._began = self._since = now()
         # Re-entrant: a signal's handler may call `end` in the thread that holds it.
@@ -185,6 +187,8 @@ class Operation(Observer):
 
     def status(self) -> Status:
         """What the cell is doing."""
+        # A signal's handler waits for what is changed here, maybe in a thread that holds the log's own lock.
+        alarms = self.alarm_log.open()
         with self._changed:
             cause = self._latched or self._held
             paused = self._pending is Pending.PAUSE
@@ -203,7 +207,7 @@ class Operation(Observer):
                 calibration_id=self.facts.calibration_id,
                 counts=dict(self._counts),
                 may_hold_part=self._may_hold,
-                alarms=self.alarm_log.open(),
+                alarms=alarms,
             )
 
     @property
@@ -246,7 +250,7 @@ class Operation(Observer):
             work = self._working()
             self._pending = Pending.PAUSE
         work.request_pause()
-        self._say(self.line)
+        self._tell()
 
     def resume(self) -> None:
         """Go on after a pause, or when what the cell holds for was put right.
@@ -260,7 +264,7 @@ class Operation(Observer):
                 raise Refused("nobody has paused", "controller status says what the cell waits for")
             self._pending = None
         work.resume()
-        self._say(self.line)
+        self._tell()
 
     def stop(self) -> None:
         """Slow down along the path, park, torque off; returns at once, harmless when stopped."""
@@ -381,7 +385,15 @@ class Operation(Observer):
         else:
             self._enter(State.STOPPED)
 
+    def _tell(self) -> None:
+        """Say the state when it is another than was said last: a cycle has many that are one to the outside."""
+        with self._telling:
+            line = self.line
+            if line != self._said:
+                self._said = line
+                self._say(line)
+
     def _enter(self, state: State | None) -> None:
         with self._changed:
             self._state, self._since = state, self._now()
-        self._say(self.line)
+        self._tell()

@@ -162,7 +162,7 @@ class Session:
                 recipe,
                 self._planner_for(self._config, calibration),
                 observers=(*devices.observers, *own, *self.options.observers, *watchers),
-                confirm=self.options.confirm,
+                confirm=self.options.confirm if service is None else service.while_idle(self.options.confirm),
                 classes=taught,
                 concerns=devices.concerns,
                 clear_view=clear_view(calibration, folder if real else None),
@@ -201,10 +201,12 @@ class Session:
                 "wall_s": round(monotonic() - began_wall, 3),
                 "out": str(folder),
             }
-            self._write(folder, report, album)
             self.figures = report
-            if sorter is not None and sorter.fault is not None:
-                raise sorter.fault
+            try:
+                self._write(folder, report, album)
+            finally:
+                if sorter is not None and sorter.fault is not None:
+                    raise sorter.fault
             return report
 
     # --- at work --------------------------------------------------------------------------------------
@@ -338,6 +340,7 @@ class Session:
         return stored.cell()
 
     def _write(self, folder: Path, report: dict[str, Any], album: Album) -> None:
+        """The report and its pictures; SorterError when they cannot be written."""
         pictures = {}
         for name, look in (("before", album.first), ("after", album.last)):
             if look is not None:
@@ -346,5 +349,8 @@ class Session:
             pictures["cell"] = side_by_side(album.at_work, pictures["before"])
         for name, picture in pictures.items():
             cv2.imwrite(str(folder / f"{name}.png"), picture)
-        (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-        (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
+        try:
+            (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+            (folder / "report.html").write_text(page(report, pictures), encoding="utf-8")
+        except OSError as error:
+            raise SorterError(f"{folder}: no report: {error.strerror or error}", "free some space there") from error

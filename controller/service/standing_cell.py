@@ -10,6 +10,7 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
@@ -107,7 +108,7 @@ class StandingCell:
         """Serve operators until the end; the last sorter, if there was one. Moves metal when it is started.
 
         Args:
-            start: Start at once.
+            start: Start at once, unless there is a fault to be reset first.
             most_parts: Stop after so many parts were dealt with; None for no limit.
         """
         service, operation, ledger = self._standing.service, self.operation, self._standing.ledger
@@ -120,8 +121,11 @@ class StandingCell:
                     self._standing.chronicle.faulted(fault, self._rig.clock.now())
                 operation.ready(fault=fault, may_hold_part=ledger.may_hold_part)
                 service.notifier.ready(operation.line)
-                if start and self._missing is None:
-                    operation.start()
+                if fault is not None:
+                    self._standing.say(f"{operation.line}; nothing moves before a reset and a start")
+                elif start:
+                    with suppress(Refused):  # by an end that was asked for meanwhile
+                        operation.start()
                 else:
                     self._standing.say(f"{operation.line}; nothing moves: controller start begins to sort")
                 while operation.wait_for_start(service.cycle.progress):

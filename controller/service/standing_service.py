@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from controller.config.cell import CellConfig
+from controller.domain import PickPlan
 from controller.ports import Clock
 from controller.service.client import runtime_folder
 from controller.service.control import ControlServer, operators
@@ -46,6 +47,18 @@ class Service:
     def watch(self, clock: Clock) -> Clock:
         """The cell's clock, every use of which is a sign of life."""
         return WatchedClock(clock, self.cycle)
+
+    def while_idle(self, ask: Callable[[PickPlan], bool]) -> Callable[[PickPlan], bool]:
+        """A question to a person, for whose answer the cycle may stand still as long as it takes."""
+
+        def asked(plan: PickPlan) -> bool:
+            self.cycle.idle()
+            try:
+                return ask(plan)
+            finally:
+                self.cycle.progress()
+
+        return asked
 
     def operation(
         self,

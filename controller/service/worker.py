@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+
+_log = logging.getLogger(__name__)
 
 
 class Worker:
@@ -54,7 +57,10 @@ class Worker:
                     return
                 job, then = self._jobs.popleft()
                 self._busy = True
-            job()
+            try:
+                job()
+            except Exception:  # a mistake in one job must not keep the next from being done
+                _log.exception("%s: a job failed", self._thread.name)
             with self._changed:
                 self._busy = False
             then()

@@ -43,7 +43,7 @@ class Meanwhile(Observer):
 class RunningCell:
     """A session in a thread of its own, and an operator at its socket."""
 
-    def __init__(self, state: Path, calibration: Path, config: Path) -> None:
+    def __init__(self, state: Path, calibration: Path, config: Path, *, start: bool = False) -> None:
         self.error: SorterError | None = None
         self.figures: dict[str, object] = {}
         self.config = config
@@ -53,6 +53,7 @@ class RunningCell:
             load_cell(config),
             reread=lambda: load_cell(self.config),
             calibration=calibration,
+            start=start,
             observers=(self.meanwhile,),
         )
         self.session = Session(options)
@@ -322,7 +323,8 @@ def test_three_runs_cut_off_in_a_row_end_in_safe_mode(
         with SqliteLedger(state / "ledger.db", clock=VirtualClock()) as ledger:
             ledger.begin_run(software_version="0", config_hash="0")
             ledger._run_id = None  # killed: nobody ends it
-    with RunningCell(state, calibration, config) as cell:
+    # A start that is asked for together with the program is no reset.
+    with RunningCell(state, calibration, config, start=True) as cell:
         status = cell.operator.ask("status")
         assert (status["state"], status["alarms"][0]["code"]) == ("ABORTED", "unclean_starts")
         with pytest.raises(SorterError, match="the last 3 runs were cut off"):
@@ -330,8 +332,24 @@ def test_three_runs_cut_off_in_a_row_end_in_safe_mode(
         assert cell.operator.ask("acknowledge") == 1
         assert cell.operator.ask("status")["state"] == "ABORTED"  # to acknowledge is not to reset
         assert cell.operator.ask("reset")["state"] == "STOPPED"
+    assert cell.error is None
+    (state / "report.json").unlink()
+    (state / "report.json").mkdir()
     with RunningCell(state, calibration, config) as cell:
         assert cell.operator.ask("status")["state"] == "STOPPED"
+    # A report that cannot be written takes nothing from what is known.
+    assert "no report: Is a directory" in str(cell.error)
+    assert cell.session.figures["sorted"] == 0
+
+
+def test_an_end_that_is_asked_for_before_the_start_is_no_error(
+    config: Path, state: Path, calibration: Path, devices: list[Devices]
+) -> None:
+    cell = RunningCell(state, calibration, config, start=True)
+    cell.session.stop()
+    cell._run()
+    assert cell.error is None
+    assert cell.figures["sorted"] == 0
 
 
 def test_under_a_service_manager_a_missing_arm_is_an_alarm(

@@ -192,6 +192,13 @@ def test_a_stop_overtakes_a_slow_command_on_its_own_connection(server: ControlSe
         assert raw.reply()["id"] == 1
 
 
+def test_a_stop_waits_for_no_log(client: ControlClient, cell: PretendedCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    told_when_logged: list[list[str]] = []
+    monkeypatch.setattr(control._log, "warning", lambda *what: told_when_logged.append(list(cell.told)))
+    client.ask("stop")
+    assert told_when_logged == [["stop"]]
+
+
 @pytest.mark.safety("SR-20")
 def test_a_start_that_a_stop_overtakes_leaves_the_cell_stopped(server: ControlServer, cell: PretendedCell) -> None:
     cell.gate.clear()

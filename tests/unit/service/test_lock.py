@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -42,6 +43,18 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(LedgerError, match="file"):
         InstanceLock(tmp_path / "file" / "below").__enter__()
+
+
+def test_a_full_disk_is_named_and_leaves_the_lock_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(LedgerError, match="No space left"):
+            InstanceLock(tmp_path).__enter__()
+    with InstanceLock(tmp_path):
+        pass
 
 
 def test_a_run_s_folder_must_be_new(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from controller.cycle.machine import State
 from controller.cycle.sorter import Sorter
 from controller.errors import CameraLost, LedgerError, SafetyStop, SorterError
+from controller.service.alarms import Alarm, AlarmLog
 from controller.service.controls import Controls, Refused
 from controller.service.operation import CellFacts, Operation, Work
 from controller.service.packml import PackML
@@ -211,6 +212,29 @@ def test_what_the_state_does_not_allow_is_refused(cell: Cell, command: str) -> N
         getattr(cell.operation, command)()
     cell.operation.stop()
     assert cell.shows() == "STOPPED"
+
+
+def test_the_state_is_said_when_it_changes_and_not_again(cell: Cell) -> None:
+    work = cell.start()
+    for state in (State.DETECT, State.LOCALIZE, State.PICK, State.IDLE, State.CAPTURE):
+        cell.operation.entered(state, 1.0)
+    assert cell.said[-3:] == [f"{state}: 0 placed" for state in ("EXECUTE", "SUSPENDED", "EXECUTE")]
+    work.rest()
+
+
+def test_a_stop_waits_for_nobody_who_reads_the_alarms() -> None:
+    class SlowLog(AlarmLog):
+        def open(self) -> tuple[Alarm, ...]:
+            other = threading.Thread(target=operation.stop, daemon=True)
+            other.start()
+            other.join(10.0)
+            stopped.append(not other.is_alive())
+            return ()
+
+    stopped: list[bool] = []
+    operation = Operation(FACTS, lambda: (), alarms=SlowLog())
+    operation.status()
+    assert stopped == [True]
 
 
 @pytest.mark.safety("SR-20")

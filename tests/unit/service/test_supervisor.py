@@ -11,9 +11,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from controller.domain import PickPlan
+from controller.service.notify import Notifier
+from controller.service.standing_service import Service
 from controller.service.supervisor import STANDALONE_PERIOD, Supervisor, WatchedClock
 from sim_backends.virtual_clock import VirtualClock
 
@@ -41,6 +45,21 @@ class Bench:
 def test_looks_twice_within_the_managers_interval() -> None:
     assert Supervisor(lambda: None, 10.0).period == 5.0
     assert Supervisor(lambda: None, None).period == STANDALONE_PERIOD
+
+
+def test_a_person_who_is_asked_may_take_his_time() -> None:
+    bench = Bench()
+    service = Service(Notifier(None), bench.supervisor, bench.supervisor.register("cycle"))
+    plan = cast(PickPlan, None)
+    answers = iter((True, False))
+
+    def ask(asked: PickPlan) -> bool:
+        assert all(bench.look() for _ in range(5))
+        return next(answers)
+
+    assert [service.while_idle(ask)(plan) for _ in range(2)] == [True, False]
+    assert bench.look()
+    assert not bench.look()  # watched again
 
 
 @pytest.mark.safety("SR-26")
