@@ -52,13 +52,6 @@ class LocalMaps:
     scale: Floats
     origin: Floats
 
-    def to_local(self, k: int, pixels: Floats) -> Floats:
-        """Local coordinates (..., 2) of pixels near object k."""
-        shifted = pixels - self.centers[k]
-        if self.plane is None:
-            return np.asarray(shifted)
-        return np.asarray(_basis(shifted / self.reach[k]) @ self.coefficients[k])
-
     def all_to_local(self, pixels: Floats) -> Floats:
         """Local coordinates (K, N, 2) of N pixels near each of the K objects."""
         shifted = pixels - self.centers[:, None]

@@ -52,14 +52,12 @@ class Colour:
         lab: (L, a, b) in OKLab of the share of light it gives back.
         distance: How far from the nearest place of that name, in the palette's measure; below 0.1 is plain.
         second: Name of a second colour, or None.
-        second_share: Share of the part that has the second colour.
     """
 
     name: str
     lab: tuple[float, float, float]
     distance: float
     second: str | None = None
-    second_share: float = 0.0
 
 
 def measure(image: Image, surface: Tiles, settings: Appearance) -> list[Colour]:
@@ -211,9 +209,7 @@ def _split(lab: Floats32, chosen: NDArray[np.intp], upper: NDArray[np.bool_]) ->
     for j, k in enumerate(chosen.tolist()):
         name, other = NAMES[int(owners[j])], NAMES[int(owners[j + len(chosen)])]
         if name != other and _two_paints(main[j], second[j]):
-            share = 1.0 - float(count[j]) / SAMPLES
-            share = min(share, 1.0 - share)
-            out.append((k, Colour(name, _triple(main[j]), float(apart[j]), other, share)))
+            out.append((k, Colour(name, _triple(main[j]), float(apart[j]), other)))
     return out
 
 
