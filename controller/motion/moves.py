@@ -142,6 +142,16 @@ class Moves:
         x, y, _ = transform(invert(self.overhead.T_base_table), points(self.arm, q)[3]).tolist()
         return x, y
 
+    def clear(self, first: Point, last: Point | None = None) -> float:
+        """Height of the grasp point that passes over everything from one place of `table` to another, mm.
+
+        Args:
+            first: (x, y) of the one, mm.
+            last: Of the other; below the ready pose when None.
+        """
+        ready = self.below(np.array(self.arm.ready))
+        return self.overhead.between(first, ready if last is None else last)
+
     def _among_parts(self, approach: Trajectory, down: Leg, rounded: float) -> float:
         """When an approach has come `rounded` mm down from the top of its descent, s."""
         height = points(self.arm, approach.positions)[:, 3, 2]

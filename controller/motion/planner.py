@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -25,17 +24,13 @@ from controller.domain import (
 from controller.geometry import invert, transform
 from controller.motion import dynamics, grasps, nudges, ways
 from controller.motion.gate import Gate, workspace
-from controller.motion.ground import Push
 from controller.motion.kinematics import points
 from controller.motion.moves import Moves, first
 from controller.motion.overhead import CLEARANCE, PART_BELOW_TIPS, Overhead
-from controller.motion.path import Leg, line, rest_of, straight, stroke
+from controller.motion.path import Leg, line, rest_of, stroke
 from controller.motion.postures import Postures, Stop
+from controller.motion.shoves import Shoves
 from controller.motion.view import discs, hides
-
-PUSH_SPEED = 100.0  # mm/s: a part let go at this speed slides on by 2 mm at friction 0.3
-TOUCH_SPEED = 25.0  # mm/s: it slides on by 0.1 mm
-_LET_GO = 5.0  # mm back from a part that was touched before the jaws rise beside it
 
 
 class Planner:
@@ -152,7 +147,7 @@ class Planner:
             LimitViolation: The gate refuses the way.
         """
         q0, grasp = self._moves.start(start), plan.grasp
-        clear = max(self._clear(self._moves.below(q0), drop), self._clear(drop))
+        clear = max(self._moves.clear(self._moves.below(q0), drop), self._moves.clear(drop))
         held = self._moves.start(plan.carry.positions[0])
         place = self._postures.drop(bin, drop, (plan.target, grasp), held, self._pile(bin), clear)
         out, inside = stroke(self.arm, place.low, place.rise), self._inside(place, clear)
@@ -209,7 +204,8 @@ class Planner:
         q0 = self._moves.start(start)
         tangent = None if self.turns_jaws else self._postures.tangent
         found = nudges.pushes(target, others, self.bins, area, self.arm.gripper, tangent, tried, unsure=unsure)
-        return first(found, lambda push: self._nudge(target, push, others, q0, climb))
+        shoves = Shoves(self._moves, self._postures)
+        return first(found, lambda push: shoves.nudge(target, push, others, q0, climb))
 
     def plan_touch(
         self, part: LocatedObject, beside: Point, by: Array, roll: float, start: Array
@@ -230,20 +226,7 @@ class Planner:
             Unreachable: A place lies outside the reach.
             LimitViolation: The gate refuses a move.
         """
-        q0 = self._moves.start(start)
-        opening = self.arm.gripper.opening[0]
-        height = grasps.grasp_height(part, self.arm.gripper)
-        stop = self._postures.over(beside, height, (roll,))
-        approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), 0.0, opening, 0.0)
-        along = straight(self.arm, stop.low, self._T[:3, :3] @ np.array([*by, 0.0]))
-        push = self._moves.calm("touch", [along], [], TOUCH_SPEED)
-        share = -_LET_GO / math.hypot(*by)
-        back = straight(self.arm, along.end, self._T[:3, :3] @ np.array([*(share * by), 0.0]))
-        up = stroke(self.arm, back.end, stop.rise)
-        home = line(self.arm, up.end, np.array(self.arm.ready))
-        retreat = self._moves.along("retreat", [back, up, home], [(0.0, 0.0), (0.0, ways.CORNER)])
-        self.gate.check_moves((push, retreat), approach.positions[-1], opening)
-        return approach, push, retreat
+        return Shoves(self._moves, self._postures).touch(part, beside, by, roll, self._moves.start(start))
 
     def plan_move(self, name: str, start: Array, goal: Array) -> Trajectory:
         """A move from a pose to another, over a safe height where the direct way passes low.
@@ -320,9 +303,9 @@ class Planner:
         view: Array | None,
         climb: float,
     ) -> PickPlan:
-        there, away = self._clear(self._moves.below(q0), grasp.center), self._clear(grasp.center, drop)
+        there, away = self._moves.clear(self._moves.below(q0), grasp.center), self._moves.clear(grasp.center, drop)
         pick = self._postures.over(grasp.center, grasp.height, None, grasp.direction, max(there, away))
-        clear = max(away, self._clear(drop))
+        clear = max(away, self._moves.clear(drop))
         place = self._postures.drop(bin, drop, (target, grasp), pick.low, self._pile(bin), clear)
         tall = max([target.height, *(other.height for other in others), 0.0])
         # From here down the jaws are among the parts: exactly vertical.
@@ -344,16 +327,6 @@ class Planner:
     def _pile(self, bin: Bin) -> float | None:
         return self._moves.overhead.piles.get(bin.name)
 
-    def _clear(self, first: Point, last: Point | None = None) -> float:
-        """Height of the grasp point that passes over everything from one place of `table` to another, mm.
-
-        Args:
-            first: (x, y) of the one, mm.
-            last: Of the other; below the ready pose when None.
-        """
-        ready = self._moves.below(np.array(self.arm.ready))
-        return self._moves.overhead.between(first, ready if last is None else last)
-
     def _inside(self, place: Stop, clear: float) -> float:
         """How far the arm rises from a place in a bin until it is over the walls and the bins beside it, mm."""
         height = float(points(self.arm, place.low)[3, 2])
@@ -366,27 +339,6 @@ class Planner:
             legs.append(line(self.arm, place.high, np.array(self.arm.ready)))
             corners.append((place.rise - inside, ways.CORNER))
         return self._moves.along("retreat", legs, corners, payload=(self.part_mass, 0.0))
-
-    def _nudge(
-        self, target: LocatedObject, push: Push, others: Sequence[LocatedObject], q0: Array, climb: float
-    ) -> NudgePlan:
-        gripper = self.arm.gripper
-        opening = gripper.opening[0]
-        height = grasps.grasp_height(push.moved, gripper)
-        clear = self._clear(self._moves.below(q0), push.start)
-        stop = self._postures.over(push.start, height, None, push.direction, clear)
-        tall = max([target.height, *(other.height for other in others)])
-        rounded = stop.rise - min(tall + PART_BELOW_TIPS + gripper.jaw_depth - height + 2.0, stop.rise)
-        approach = self._moves.approach(q0, stroke(self.arm, stop.low, stop.rise).reversed(), rounded, opening, climb)
-        by = push.way * np.array([*push.ahead, 0.0])
-        along = straight(self.arm, stop.low, self._T[:3, :3] @ by)
-        shove = self._moves.calm("push", [along], [], PUSH_SPEED)
-        up = stroke(self.arm, along.end, stop.rise)
-        home = line(self.arm, up.end, np.array(self.arm.ready))
-        retreat = self._moves.along("retreat", [up, home], [(rounded, ways.CORNER)])
-        self.gate.check_moves((shove, retreat), approach.positions[-1], opening)
-        gone = push.travel * push.ahead[0], push.travel * push.ahead[1]
-        return NudgePlan(target, push.moved, gone, push.ends, opening, approach, shove, retreat)
 
     def _flat(self, outline: Array) -> Array:
         """An outline (N, 2) of the table's surface, given in `table`, in `base`."""

@@ -13,7 +13,8 @@ from controller.domain import Array, LocatedObject, NudgePlan, Point, Shape
 from controller.errors import NoClearGrasp, PlanError
 from controller.geometry import invert, transform
 from controller.motion import grasps, kinematics, nudges, pushing
-from controller.motion.planner import PUSH_SPEED, Planner
+from controller.motion.planner import Planner
+from controller.motion.shoves import PUSH_SPEED
 from tests.unit.motion.scene import PARTS, RX150, at, bins, calibration, part, polygon_gap
 
 OMX = load_arm("open_manipulator_x")
