@@ -64,6 +64,11 @@ def execute(arguments: Sequence[str] | None = None) -> int:
     except SorterError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except PermissionError as error:
+        from controller.service.folders import not_permitted
+
+        print(f"error: {not_permitted(error)}", file=sys.stderr)
+        return 1
     except BrokenPipeError:
         sys.stderr.close()
         return 1

@@ -19,6 +19,7 @@ from controller.cycle.preflight import check as preflight
 from controller.domain import CellCalibration
 from controller.errors import InputError
 from controller.motion.planner import Planner
+from controller.service.doctor.finding import counted
 from controller.service.folders import state_folder
 from controller.vision.recipe import load_recipe
 
@@ -75,7 +76,8 @@ def check(
     for warning in warnings:
         print(f"warning: {warning}")
     there = f" ({', '.join(sorted(moved))} where taught)" if moved else ""
-    print(f"{path}: in order: {arm.title}, {len(cell.bins)} bins{there}, {len(cell.sorting.rules)} rules")
+    bins_, rules = counted(len(cell.bins), "bin"), counted(len(cell.sorting.rules), "rule")
+    print(f"{path}: in order: {arm.title}, {bins_}{there}, {rules}")
 
 
 @group.command()

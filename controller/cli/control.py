@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
+from controller.cli.output import stdout
 from controller.errors import SorterError
 from controller.service.client import ControlClient, folder_of_running_cell
 
-STOP_TIMEOUT = 30.0
-"""s that parking may take: half as long again as the unit's TimeoutStopSec."""
+STOP_TIMEOUT = 60.0
+"""s that parking may take: as long as the unit's TimeoutStopSec."""
 
 At = Annotated[
     Path | None,
@@ -43,6 +43,9 @@ def start(
     as_json: AsJson = False,
 ) -> None:
     """Start sorting, from STOPPED. The arm moves.
+
+    Who may: root, the user the cell runs as, and with the installed service the members of the group `sorter`; so with
+    every command that talks to a running cell.
 
     Example: controller start
     """
@@ -161,17 +164,17 @@ def _show(found: Mapping[str, Any], as_json: bool) -> None:
     grid.add_row("targets", ", ".join(f"{number} {name}" for name, number in counts.items()) or "none yet")
     if found["may_hold_part"]:
         grid.add_row("gripper", "may hold a part")
-    Console().print(grid)
+    stdout().print(grid)
     if found["alarms"]:
         _alarm_table(found["alarms"])
 
 
 def _alarm_table(alarms: list[dict[str, Any]]) -> None:
-    table = Table("no.", "raised", "alarm", "cause and remedy", "", box=None, pad_edge=False)
+    table = Table("no.", "raised", "alarm", Column("cause and remedy", overflow="fold"), "", box=None, pad_edge=False)
     for alarm in alarms:
         marks = ["active" if alarm["active"] else "over"]
         marks += ["seen"] if alarm["acknowledged_at"] else []
         marks += ["came first"] if alarm["first_out"] else []
         text = f"{alarm['cause']}: {alarm['remedy']}" if alarm["remedy"] else alarm["cause"]
         table.add_row(str(alarm["number"]), alarm["raised_at"][:19], alarm["code"], text, ", ".join(marks))
-    Console().print(table)
+    stdout().print(table)

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from controller.backends import DEVICES, Mode
 from controller.cli.config import default_config
+from controller.cli.output import stdout
 from controller.service import unit
 from controller.service.doctor.case import Case
 from controller.service.doctor.examine import examine, worst
-from controller.service.doctor.finding import Finding, Level
+from controller.service.doctor.finding import Finding, Level, counted
 from controller.service.folders import folder_of_the_cell
 
 _STYLES = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILED: "bold red"}
@@ -34,7 +34,10 @@ def doctor(
     sim: Annotated[bool, typer.Option("--sim", help="Look at the simulated cell's devices instead.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> int:
-    """Look at software, disk, clock, calibration, ledger and devices; changes nothing and moves nothing.
+    """Look at software, disk, clock, calibration, ledger and devices; moves nothing.
+
+    The devices are opened unless a cell is at work with them; as at every start, settings of the camera and the servos
+    that are not as they must be are corrected then.
 
     The exit code is 1 when a check has failed; warnings alone give 0.
 
@@ -54,14 +57,16 @@ def doctor(
 
 def _table(findings: list[Finding], verdict: Level) -> None:
     grid = Table(box=None, show_header=False, pad_edge=False)
+    for _ in range(3):
+        grid.add_column(overflow="fold")  # a path is of no use without its end
     for finding in findings:
         grid.add_row(Text(str(finding.level), style=_STYLES[finding.level]), finding.name, Text(finding.finding))
         if finding.remedy:
             grid.add_row("", "", Text(f"-> {finding.remedy}", style="italic"))
-    console = Console()
+    console = stdout()
     console.print(grid)
     counts = {level: sum(finding.level is level for finding in findings) for level in Level}
-    bad = f"{counts[Level.FAILED]} failed, {counts[Level.WARNING]} warnings"
+    bad = f"{counts[Level.FAILED]} failed, {counted(counts[Level.WARNING], 'warning')}"
     console.print(f"{len(findings)} checks: " + ("all well" if verdict is Level.OK else bad))
 
 

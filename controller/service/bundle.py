@@ -213,10 +213,14 @@ def _cell() -> _Texts:
 
 
 def _journal(case: Case) -> _Texts:
-    yield "journal.txt", case.run((
+    text = case.run((
         "journalctl", f"--unit={unit.UNIT}", f"--lines={LAST_LINES}", "--output=short-iso-precise",
         "--no-hostname", "--no-pager", "--quiet",
     ))  # fmt: skip
+    if not text.strip():
+        # It keeps from strangers what it has, and says nothing of that either.
+        raise SorterError("the journal shows nothing of the service", "ask as root: sudo controller bundle")
+    yield "journal.txt", text
 
 
 def _unit(case: Case) -> _Texts:

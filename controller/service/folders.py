@@ -31,6 +31,12 @@ def folder_of_the_cell() -> Path:
     return STATE if "STATE_DIRECTORY" not in os.environ and STATE.is_dir() else state_folder()
 
 
+def not_permitted(error: PermissionError) -> SorterError:
+    """What to tell whoever may not read or write a file, as a stranger to the service's folders may not."""
+    remedy = "ask as root, or join its group and log in again; the service's: sudo usermod -aG sorter $USER"
+    return SorterError(f"{error.filename or 'a file'}: {error.strerror or error}", remedy)
+
+
 def new_run_folder(wanted: Path | None, now: datetime) -> Path:
     """An empty folder for one run: the one asked for, or a fresh one below `runs/`.
 

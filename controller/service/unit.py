@@ -36,6 +36,8 @@ _ANY_USB = 'ATTRS{idVendor}=="?*"'
 # What the unit's ProtectHome and PrivateTmp hide from the service.
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
 _MOVE_PROGRAM = "install the program below /opt, or with pipx install --global"
+_PATIENCE = 90.0
+"""s for a command of the system; one that stops the service waits for the unit's TimeoutStopSec."""
 _MARK = re.compile("@[A-Z_]+@")
 _PLAIN_PATH = re.compile(r"/[A-Za-z0-9_./+@:,=-]*")
 _SERIAL = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
@@ -147,7 +149,8 @@ def plan(
 
 def _next_steps(config: Path) -> tuple[str, ...]:
     return (
-        f"write {config} (begin with {shipped('cell.toml')}); check it: controller config check --config {config}",
+        "write the cell's configuration: controller config new cell.toml; check it: controller config check --config"
+        f" cell.toml; put it in place: sudo install -D -m 644 cell.toml {config}",
         "look at the machine: controller doctor --config " + str(config),
         f"start the service, which moves nothing yet: systemctl start {UNIT}",
         "let others operate the cell: usermod -aG sorter NAME",
@@ -273,7 +276,7 @@ def run_command(command: Sequence[str]) -> str:
     if path is None:
         raise SorterError(f"{command[0]}: no such command", "install systemd and udev")
     try:
-        done = subprocess.run([path, *command[1:]], capture_output=True, text=True, timeout=60.0, check=False)
+        done = subprocess.run([path, *command[1:]], capture_output=True, text=True, timeout=_PATIENCE, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise SorterError(f"{' '.join(command)}: {error}") from error
     if done.returncode != 0:

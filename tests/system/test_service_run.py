@@ -81,7 +81,7 @@ def test_a_service_from_its_start_to_its_end(
             assert (operator.ask("status")["config_digest"] != status["config_digest"]) == changed
         process.send_signal(signal.SIGTERM)
         hears(line, "STOPPING=1")
-        # The unit gives it 20 s to park.
+        # The unit gives it 60 s to park; here there is no arm that could.
         assert process.wait(20.0) == 0
     assert not (state / "control.sock").exists()
 

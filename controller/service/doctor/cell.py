@@ -13,7 +13,7 @@ from controller.errors import CalibrationMissing, SorterError
 from controller.ledger.view import LedgerView
 from controller.motion.planner import Planner
 from controller.service.doctor.case import Case
-from controller.service.doctor.finding import Finding, failed, ok, warning
+from controller.service.doctor.finding import Finding, counted, failed, ok, warning
 from controller.service.manual import by_ruler
 
 
@@ -74,7 +74,7 @@ def ledger(case: Case) -> Finding:
         return failed("ledger", error.cause, error.remedy)
     if problems:
         remedy = "keep a copy of the file; controller ledger verify lists everything"
-        return failed("ledger", f"{problems[0]} ({len(problems)} problems)", remedy)
+        return failed("ledger", f"{problems[0]} ({counted(len(problems), 'problem')})", remedy)
     return ok("ledger", f"{counts['targets']} targets on record, all accounted for")
 
 

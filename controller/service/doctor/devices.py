@@ -144,7 +144,8 @@ def _servos(devices: Devices, cell: CellConfig, description: ArmDescription) -> 
         if isinstance(arm, _TellsServos):
             text = f"{description.title}: {len(arm.inventory)} servos answer"
             if arm.changed:
-                text += f", {len(arm.changed)} settings were corrected: {'; '.join(arm.changed)}"
+                were = "setting was" if len(arm.changed) == 1 else "settings were"
+                text += f", {len(arm.changed)} {were} corrected: {'; '.join(arm.changed)}"
         return [ok("servos", text), *_health(state.voltage, state.temperature)]
 
 

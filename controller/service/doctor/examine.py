@@ -10,7 +10,8 @@ from controller.config.cell import load_cell
 from controller.errors import SorterError
 from controller.service.doctor import cell, devices, host, software
 from controller.service.doctor.case import Case
-from controller.service.doctor.finding import Finding, Level, failed, ok, warning
+from controller.service.doctor.finding import Finding, Level, counted, failed, ok, warning
+from controller.service.folders import not_permitted
 from controller.vision.recipe import load_recipe
 
 Check = Callable[[Case], Finding | list[Finding] | None]
@@ -63,7 +64,8 @@ def _configuration(case: Case) -> tuple[Finding, Case]:
         load_recipe(found.vision.recipe)
     except SorterError as error:
         return failed(name, error.cause, error.remedy), case
-    text = f"{case.config}: {arm.title}, {len(found.bins)} bins, {len(found.sorting.rules)} rules"
+    size = f"{counted(len(found.bins), 'bin')}, {counted(len(found.sorting.rules), 'rule')}"
+    text = f"{case.config}: {arm.title}, {size}"
     return ok(name, text), dataclasses.replace(case, cell=found, arm=arm)
 
 
@@ -74,6 +76,9 @@ def _made(checks: dict[str, Check], case: Case) -> list[Finding]:
             found = check(case)
         except SorterError as error:
             found = failed(name, error.cause, error.remedy)
+        except PermissionError as error:
+            denied = not_permitted(error)
+            found = failed(name, denied.cause, denied.remedy)
         except Exception as error:  # one check that goes wrong must not keep the others from being made
             found = failed(name, f"could not be examined: {type(error).__name__}: {error}", "please report this")
         findings += found if isinstance(found, list) else [] if found is None else [found]

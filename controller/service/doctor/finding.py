@@ -48,3 +48,8 @@ def warning(name: str, finding: str, remedy: str) -> Finding:
 def failed(name: str, finding: str, remedy: str) -> Finding:
     """The cell cannot work like this."""
     return Finding(name, Level.FAILED, finding, remedy)
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things in words: `1 rule`, `2 rules`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

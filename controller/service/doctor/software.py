@@ -14,7 +14,7 @@ from pathlib import Path
 from controller.errors import SorterError
 from controller.service import unit
 from controller.service.doctor.case import Case
-from controller.service.doctor.finding import Finding, failed, ok, warning
+from controller.service.doctor.finding import Finding, counted, failed, ok, warning
 
 Version = tuple[int, ...]
 
@@ -140,12 +140,13 @@ def service(case: Case) -> Finding:
     if not found.installed:
         return ok("service", "not installed")
     state = found.properties.get("ActiveState", "unknown")
-    restarts = found.properties.get("NRestarts", "0")
+    told = found.properties.get("NRestarts", "0")
+    restarts = counted(int(told) if told.isdecimal() else 0, "restart")
     if state == "failed":
         why = found.properties.get("Result", "unknown")
-        return warning("service", f"it has failed: {why}, after {restarts} restarts", "see journalctl -u controller")
+        return warning("service", f"it has failed: {why}, after {restarts}", "see journalctl -u controller")
     if found.differing:
         names = ", ".join(path.name for path in found.differing)
         remedy = "install the service again: sudo controller service install"
         return warning("service", f"{names}: not as this version installs it", remedy)
-    return ok("service", f"{state}, {restarts} restarts")
+    return ok("service", f"{state}, {restarts}")

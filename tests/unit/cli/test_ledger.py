@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import os
@@ -231,3 +232,18 @@ def test_a_half_written_ledger_shows_what_was_acknowledged(
         assert [row["target_id"] for row in found] == ["t1"]
     with LedgerView(copy / "ledger.db") as view:
         assert view.counts()["open"] == 1  # looking settles nothing
+
+
+def test_a_folder_of_the_service_that_a_stranger_may_not_read_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def denied(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "is_file", denied)
+        code = execute(["ledger", "verify", str(tmp_path / "ledger.db")])
+    shown = capsys.readouterr()
+    assert (code, shown.out) == (1, "")
+    assert shown.err.startswith(f"error: {tmp_path / 'ledger.db'}: Permission denied: ")
+    assert "usermod -aG sorter" in shown.err

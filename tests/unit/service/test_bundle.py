@@ -24,7 +24,7 @@ from controller.service.bundle import collect, write
 from controller.service.doctor.case import Case
 from controller.service.secrets import REMOVED, json_without_secrets, without_secrets
 from sim_backends.virtual_clock import VirtualClock
-from tests.unit.ledger.nouns import outcome
+from tests.unit.ledger.nouns import outcome, plan
 
 # Everything here is made up; none of it may be in a bundle.
 PLANTED = {
@@ -61,6 +61,7 @@ def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
     (root / "etc/os-release").write_text(f"NAME=Test\n{ALL}\n", encoding="utf-8")
     with SqliteLedger(state / "ledger.db", clock=VirtualClock()) as ledger:
         ledger.begin_run(software_version="1", config_hash="abc", note=ALL)
+        ledger.intend("t1", plan("t1"), 1, 0.0)
         ledger.conclude(outcome("t1"))
         ledger.note("odd", 1.0, text=ALL, password="hunter2hunter2", pin={"token": "c0ffee00c0ffee"})
     return Case(state, config, root=root, run=_journal, clock_in_step=lambda: True)
@@ -150,6 +151,11 @@ def test_a_machine_on_which_nothing_works_still_gives_a_bundle(
 
 def _no_command(command: Sequence[str]) -> str:
     raise SorterError(f"{command[0]}: no such command")
+
+
+def test_a_journal_that_is_kept_from_whoever_asks_is_named_as_missing(case: Case) -> None:
+    with pytest.raises(SorterError, match="the journal shows nothing of the service: ask as root"):
+        list(bundle_module._journal(dataclasses.replace(case, run=lambda command: "\n")))
 
 
 def test_of_a_long_text_the_end_is_kept(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -63,7 +63,7 @@ def test_the_unit_runs_this_program_with_that_configuration() -> None:
         "RestartPreventExitStatus=75 78",
         "StartLimitBurst=5",
         "KillMode=mixed",
-        "TimeoutStopSec=20s",
+        "TimeoutStopSec=60s",
         "User=sorter",
         "DevicePolicy=closed",
         "RuntimeDirectory=sorter",

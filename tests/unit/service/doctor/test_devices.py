@@ -54,7 +54,7 @@ def test_devices_in_order(case: Case) -> None:
     found = opened(case)
     assert [level_of(finding) for finding in found.values()] == [Level.OK] * 5
     assert found["camera settings"].finding == "exposure 156, focus 20"
-    assert "7 servos answer, 1 settings were corrected" in found["servos"].finding
+    assert "7 servos answer, 1 setting was corrected" in found["servos"].finding
     assert "12.1 V" in found["servo supply"].finding
 
 

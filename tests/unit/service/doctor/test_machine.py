@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import shutil
 import sqlite3
@@ -16,9 +17,9 @@ from controller.calibration.approval import Approval
 from controller.errors import CalibrationMissing
 from controller.ledger.sqlite import SqliteLedger
 from controller.service import unit
-from controller.service.doctor import cell, devices, host, software
+from controller.service.doctor import cell, devices, examine, host, software
 from controller.service.doctor.case import Case, clock_in_step
-from controller.service.doctor.finding import Level
+from controller.service.doctor.finding import Finding, Level
 from controller.service.lock import InstanceLock
 from sim_backends.virtual_clock import VirtualClock
 from tests.unit.service.doctor.machines import NOW, level_of, plug_in
@@ -243,3 +244,12 @@ def test_calibration(
 
 def test_no_calibration_is_a_failure(case: Case) -> None:
     assert level_of(cell.calibration(case)) is Level.FAILED
+
+
+def test_what_a_stranger_may_not_read_is_said_with_what_to_do(case: Case) -> None:
+    def denied(case: Case) -> Finding:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "/var/lib/sorter/ledger.db")
+
+    (found,) = examine._made({"ledger": denied}, case)
+    assert (found.level, found.finding) == (Level.FAILED, "/var/lib/sorter/ledger.db: Permission denied")
+    assert "sudo usermod -aG sorter" in found.remedy
