@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import signal
@@ -52,6 +53,8 @@ class Job:
 
 def sort_one(job: Job) -> Record:
     """Sort one table and write down all about it; what went wrong is part of the record, not an exception."""
+    # The cell of the table before is a ring of 50 MB and more, which Python by itself looks for once in ten tables.
+    gc.collect()
     trial = Trial(job.config)
     with tempfile.TemporaryDirectory(prefix="evaluate-") as folder:
         out = Path(folder) / "run"
