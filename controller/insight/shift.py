@@ -268,6 +268,7 @@ def _changes(
         "classes": "taught classes",
         "model": "trained model",
         "configuration": "the configuration was read again",
+        "clock_jumped": "the computer's date has jumped",
     }
     for kind, text in kinds.items():
         for row in ledger.rows("events", Selection(since=begin, until=until, kind=kind)):

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from controller.cycle.machine import State
@@ -27,6 +29,8 @@ from controller.service.faults import CATALOGUE, fault_code, remedy
 _log = logging.getLogger(__name__)
 
 _DAY = 86400.0  # s
+_JUMP = 1.0
+"""s. A time server steps the date for an eighth of one and more; reports tell times to the second."""
 _MOST_KEPT = 1000
 """Events kept while nothing can be written; the oldest go first."""
 
@@ -157,6 +161,35 @@ class Housekeeper(Observer):
                 gone = self._ledger.prune(self._keep, self._most_bytes)
                 if gone:
                     _log.info("single records of %d targets are now counts by day", gone)
+
+
+class Calendar(Observer):
+    """Puts on record that the computer's date has jumped: dates before and after it do not compare.
+
+    Args:
+        ledger: Takes the event.
+        wall: Date and time.
+        monotonic: s of a clock that nobody sets.
+    """
+
+    def __init__(
+        self,
+        ledger: Ledger,
+        wall: Callable[[], datetime] = lambda: datetime.now(UTC),
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._ledger, self._wall, self._monotonic = ledger, wall, monotonic
+        self._ahead = wall().timestamp() - monotonic()
+
+    def entered(self, state: State, at: float) -> None:
+        """Compare the two clocks."""
+        before, self._ahead = self._ahead, self._wall().timestamp() - self._monotonic()
+        by = self._ahead - before
+        if abs(by) >= _JUMP:
+            _log.warning("the computer's date has jumped by %.1f s", by)
+            # A disk that takes no more holds the cell at the next intent, not here.
+            with suppress(LedgerError):
+                self._ledger.note("clock_jumped", at, by_s=round(by, 1))
 
 
 def tell_what_was_found(ledger: SqliteLedger, alarms: AlarmLog) -> None:

@@ -157,7 +157,8 @@ _ROWS: tuple[Fault, ...] = (
           _A.RESTARTED, "look what the gripper holds; the part is on record as indeterminate"),
     Fault("loop_hung", "loop hung, computer too slow", "no sign of life for the supervisor; late cycles", _A.RESTARTED,
           "relieve the computer; controller bundle keeps the stacks"),
-    Fault("clock_jumped", "date jumped", "nothing: control uses monotonic time only", _A.GOES_ON, "none needed"),
+    Fault("clock_jumped", "date jumped", "compared with the clock that nobody sets, which is all that control uses; "
+          "put on record", _A.GOES_ON, "none needed"),
     Fault("unclean_starts", "cut off three times in a row", "runs without end in the record", _A.STOPPED, _REDO),
     # --- what it is told ---
     Fault("config_invalid", "configuration wrong", "schema, ranges, unreachable bins; exit code 78", _A.REFUSED,

@@ -27,7 +27,7 @@ from controller.domain import CellCalibration
 from controller.errors import InputError, SafetyStop, SorterError
 from controller.ledger.sqlite import SqliteLedger
 from controller.motion.planner import Planner
-from controller.service.chronicle import Chronicle, Housekeeper, tell_what_was_found
+from controller.service.chronicle import Calendar, Chronicle, Housekeeper, tell_what_was_found
 from controller.service.controls import Refused
 from controller.service.standing_service import Service
 from controller.service.taught_classes import taught_classes
@@ -102,7 +102,7 @@ class StandingCell:
         section = rig.config.ledger
         keep = timedelta(days=section.keep_days)
         housekeeper = Housekeeper(standing.ledger, rig.clock, keep, section.most_mb << 20)
-        self._rig = replace(rig, observers=(*rig.observers, self.operation, housekeeper))
+        self._rig = replace(rig, observers=(*rig.observers, self.operation, housekeeper, Calendar(standing.ledger)))
 
     def run(self, *, start: bool, most_parts: int | None) -> Sorter | None:
         """Serve operators until the end; the last sorter, if there was one. Moves metal when it is started.

@@ -15,7 +15,7 @@ from controller.domain import Outcome, PickPlan
 from controller.errors import CameraLost, FrameStale, LedgerError, MotionTimeout
 from controller.ledger import SqliteLedger
 from controller.service.alarms import AlarmLog
-from controller.service.chronicle import Chronicle, Housekeeper, tell_what_was_found
+from controller.service.chronicle import Calendar, Chronicle, Housekeeper, tell_what_was_found
 from sim_backends.virtual_clock import VirtualClock
 from tests.unit.ledger.nouns import outcome, plan
 
@@ -169,3 +169,17 @@ def test_a_sound_record_raises_no_alarm(tmp_path: Path) -> None:
     with SqliteLedger(tmp_path / "ledger.db", clock=VirtualClock()) as ledger:
         tell_what_was_found(ledger, alarms)
     assert alarms.history() == ()
+
+
+@pytest.mark.safety("SR-33")
+def test_a_date_that_jumps_goes_on_record_once(ledger: Events) -> None:
+    wall, clock = datetime(2026, 3, 10, tzinfo=UTC), VirtualClock()
+    calendar = Calendar(ledger, lambda: wall, clock.now)
+    for step, jump in enumerate((0.0, 0.4, 3600.0, 0.0, -7200.0, 0.0)):
+        clock.sleep(10.0)
+        wall += timedelta(seconds=10.0 + jump)
+        calendar.entered(State.CAPTURE, float(step))
+    assert ledger.events == [("clock_jumped", 2.0, {"by_s": 3600.0}), ("clock_jumped", 4.0, {"by_s": -7200.0})]
+    ledger.full = True
+    wall += timedelta(seconds=60.0)
+    calendar.entered(State.CAPTURE, 9.0)
