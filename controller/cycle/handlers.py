@@ -93,8 +93,8 @@ class Handlers:
     # --- the states -----------------------------------------------------------------------------------
 
     def home(self) -> str:
-        """Torque on, whatever stuck to the jaws out of them, and out of the sight of the camera."""
-        self._motions.start()
+        """Torque on, whatever the jaws hold out of them, and out of the sight of the camera."""
+        state = self._motions.start()
         target = self._outcomes.at_work
         if target is not None and target.plan is not None:
             self._motions.let_go(target.plan.grasp)
@@ -102,7 +102,10 @@ class Handlers:
             reason = "it stuck to the jaws over the bin, until somebody helped"
             self._outcomes.conclude(target, Result.INDETERMINATE, reason)
             self._holding.overcome(PartHeld)
-        self._motions.home()
+        else:
+            self._motions.empty_jaws(state)
+        # Jaws that their watchdog had stopped squeeze again from the first move on.
+        self._motions.empty_jaws(self._motions.home())
         return "homed"
 
     def capture(self) -> str:

@@ -15,11 +15,16 @@ from controller.cycle.requests import Interrupted
 from controller.cycle.rig import Rig
 from controller.domain import ArmState, Grasp, GripReport, MoveReport, NudgePlan, PickPlan, Shape, Trajectory
 from controller.errors import MotionTimeout, PartHeld
-from controller.motion.grasps import release_opening
+from controller.motion.grasps import RELEASE_MARGIN, release_opening
 from controller.motion.planner import Planner
 
 _FALL_MM = 8.0
 """The planner lets a part fall this far: what lies below the jaws when they have opened is that much lower."""
+
+_SQUEEZES = 0.1
+"""Share of their power by which jaws at rest squeeze something: the simulated arm's take 0.4 on a part and less than
+0.01 on none.
+"""
 
 _CLEAR_STEP = 0.05
 """s between the poses of a move at which the view is judged."""
@@ -72,15 +77,30 @@ class Motions:
         """
         self._rig, self.view, self.planner, self._watch = rig, view, rig.planner, watch
 
-    def start(self) -> None:
-        """Torque on where the arm stands."""
-        self._rig.arm.energise()
+    def start(self) -> ArmState:
+        """Torque on where the arm stands; how it stands."""
+        state = self._rig.arm.energise()
         self._energised = True
+        return state
 
-    def home(self) -> None:
-        """To the ready pose, out of the camera's sight."""
-        self.follow(self.planner.home(self._rig.arm.state().positions))
+    def empty_jaws(self, state: ArmState) -> None:
+        """Let go of what an earlier run, cut off, has left between the jaws: the next look finds it.
+
+        Args:
+            state: Of the arm now.
+
+        Raises:
+            Interrupted: It was ended early by a stop.
+        """
+        if abs(state.gripper_load) > _SQUEEZES:
+            widest = self._rig.arm.description.gripper.opening[1]
+            self.grip(min(state.opening + 2.0 * RELEASE_MARGIN, widest))
+
+    def home(self) -> ArmState:
+        """To the ready pose, out of the camera's sight; how the arm stands there."""
+        report = self.follow(self.planner.home(self._rig.arm.state().positions))
         self.stranded = False
+        return report.state
 
     def follow(self, trajectory: Trajectory, opening: float | None = None, after: float = 0.0) -> MoveReport:
         """Carry out a move; see `Arm.follow`.

@@ -25,6 +25,22 @@ def test_intent_is_on_record_before_motion_and_the_outcome_after(monkeypatch: py
     assert order.index("carry") < order.index("t1:placed") < order.index("park")
 
 
+@pytest.mark.safety("SR-41")
+def test_what_a_run_that_was_cut_off_left_in_the_jaws_is_let_go_before_anything_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, part(0, 0))
+    bench.arm.open()
+    bench.arm.energise()
+    bench.arm.grip_result(contact=True, opening=40.0)
+    bench.arm.grip(30.0)
+    bench.arm.commands.clear()
+    bench.sorter().run()
+    assert bench.commands[:4] == ["energise", "grip", "home", "approach"]
+    assert bench.arm.commands[1]["opening_mm"] == 46.0
+    assert bench.results == [Result.PLACED]
+
+
 def test_every_shape_goes_to_its_bin_and_the_rest_to_the_rejects(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, part(0, -100, Shape.SQUARE), part(0, 100, Shape.CIRCLE), part(20, 0, Shape.OTHER))
     bench.run()
