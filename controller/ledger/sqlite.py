@@ -20,6 +20,9 @@ from controller.ledger.retention import prune
 from controller.ledger.view import LedgerReader
 from controller.ports import Clock
 
+NOT_RESET = "not reset"
+"""Reason of a run that ended in good order, but before anybody had reset what too many runs cut off had latched."""
+
 _TARGET = ", ".join([*OBJECT_COLUMNS, *PLAN_COLUMNS])
 
 
@@ -58,7 +61,8 @@ class SqliteLedger(LedgerReader):
     Attributes:
         indeterminate: Targets that opening has settled as INDETERMINATE: the gripper or the table may hold them.
         unclean_runs: Number of runs that were cut off: the process was killed, or the power went.
-        unclean_in_a_row: How many runs were cut off since the last that ended in good order.
+        unclean_in_a_row: How many runs were cut off since the last that ended in good order, not counting
+            those that ended so before the cell was reset.
         set_aside: Where a damaged ledger was moved, or None.
 
     Raises:
@@ -297,8 +301,9 @@ class SqliteLedger(LedgerReader):
                 (str(Result.INDETERMINATE), reason, open_.attempts, self._now(), open_.run_id, open_.target_id),
             )
         self.unclean_runs = ask("UPDATE runs SET end_reason = 'unclean' WHERE end_reason IS NULL").rowcount
-        last_clean = "SELECT max(run_id) FROM runs WHERE end_reason <> 'unclean'"
-        row = ask(f"SELECT count(*) FROM runs WHERE run_id > coalesce(({last_clean}), 0)").fetchone()
+        last_clean = "SELECT max(run_id) FROM runs WHERE end_reason NOT IN ('unclean', ?)"
+        since = f"SELECT count(*) FROM runs WHERE end_reason = 'unclean' AND run_id > coalesce(({last_clean}), 0)"
+        row = ask(since, (NOT_RESET,)).fetchone()
         self.unclean_in_a_row = int(row[0])
         if self.unclean_runs or self.indeterminate:
             details = {"runs": self.unclean_runs, "targets": [open_.target_id for open_ in self.indeterminate]}

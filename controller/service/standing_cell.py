@@ -24,8 +24,8 @@ from controller.cycle.preflight import check
 from controller.cycle.rig import Rig
 from controller.cycle.sorter import Sorter
 from controller.domain import CellCalibration
-from controller.errors import InputError, SafetyStop, SorterError
-from controller.ledger.sqlite import SqliteLedger
+from controller.errors import InputError, LedgerError, SafetyStop, SorterError
+from controller.ledger.sqlite import NOT_RESET, SqliteLedger
 from controller.motion.planner import Planner
 from controller.service.chronicle import Calendar, Chronicle, Housekeeper, tell_what_was_found
 from controller.service.controls import Refused
@@ -86,6 +86,7 @@ class StandingCell:
     def __init__(self, rig: Rig, standing: Standing, missing: SorterError | None = None) -> None:
         self._standing = standing
         self._missing = missing
+        self._cut_off = _safe_mode(standing.ledger)
         self._lock = threading.Lock()
         self._sorter: Sorter | None = None
         self._filled: Counter[str] = Counter(standing.ledger.in_bins())
@@ -96,7 +97,7 @@ class StandingCell:
             reload=self._reload,
             emptied=self._emptied,
             view_clear=rig.clear_view.forget,
-            cleared=standing.chronicle.cleared,
+            cleared=self._cleared,
             recover=self._open_again,
         )
         section = rig.config.ledger
@@ -116,7 +117,7 @@ class StandingCell:
         try:
             with service.open_to_operators(operation, self._standing.chronicle.commanded):
                 tell_what_was_found(ledger, operation.alarm_log)
-                fault = self._missing or _safe_mode(ledger)
+                fault = self._missing or self._cut_off
                 if fault is not None:
                     self._standing.chronicle.faulted(fault, self._rig.clock.now())
                 operation.ready(fault=fault, may_hold_part=ledger.may_hold_part)
@@ -142,6 +143,9 @@ class StandingCell:
                 service.notifier.stopping("parked")
         finally:
             self._reloader.close(1.0)
+            if self._cut_off is not None:
+                with suppress(LedgerError):  # then it is one more that was cut off
+                    ledger.end_run(NOT_RESET)
         return self._sorter
 
     def reload_soon(self) -> None:
@@ -149,6 +153,11 @@ class StandingCell:
         self._reloader.offer(self._reload_for_manager, lambda: None)
 
     # --- what operators ask for -----------------------------------------------------------------------
+
+    def _cleared(self) -> None:
+        """Somebody has looked, and reset what was latched."""
+        self._cut_off = None
+        self._standing.chronicle.cleared()
 
     def _open_again(self) -> None:
         """Open the devices again after a reset; what is still wrong goes on record as a fault of its own.

@@ -323,8 +323,10 @@ def test_three_runs_cut_off_in_a_row_end_in_safe_mode(
         with SqliteLedger(state / "ledger.db", clock=VirtualClock()) as ledger:
             ledger.begin_run(software_version="0", config_hash="0")
             ledger._run_id = None  # killed: nobody ends it
-    # A start that is asked for together with the program is no reset.
+    # Neither is a start that is asked for together with the program a reset, nor is the program's end.
     with RunningCell(state, calibration, config, start=True) as cell:
+        assert cell.operator.ask("status")["state"] == "ABORTED"
+    with RunningCell(state, calibration, config) as cell:
         status = cell.operator.ask("status")
         assert (status["state"], status["alarms"][0]["code"]) == ("ABORTED", "unclean_starts")
         with pytest.raises(SorterError, match="the last 3 runs were cut off"):
