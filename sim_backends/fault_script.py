@@ -26,8 +26,8 @@ STATES = ("HOMING", "CAPTURE", "DETECT", "LOCALIZE", "PICK", "PLACE", "IDLE", "H
 FAILPOINTS = tuple(f"{when}_{what}" for what in ("intend", "conclude") for when in ("before", "after"))
 _GARBAGE = 0.05
 """Share of the servos' answers that come damaged: a loose plug, not a cut cable."""
-_NOISE = 0.02
-"""Share of them on a line that is merely bad."""
+_NOISE = 0.03
+"""Share of them on a line that is merely bad; about half of them are lost for good, clearly more than is tolerated."""
 _WEAK_SUPPLY = 10.3
 """V: the servos still work, and warn of nothing."""
 

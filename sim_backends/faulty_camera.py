@@ -65,10 +65,10 @@ def _reached_over(image: Image) -> Image:
 
 
 def _strange(image: Image) -> Image:
-    """Something crooked lies to the arm's right, of a shape that nobody has a name for."""
+    """Something crooked lies to the arm's left, of a shape that nobody has a name for."""
     out, (height, width) = image.copy(), image.shape[:2]
     corners = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 4], [5, 4], [5, 6], [0, 6]], np.float64)
-    place = np.rint(corners * 0.011 * width + (0.64 * width, 0.5 * height)).astype(np.int32)
+    place = np.rint(corners * 0.011 * width + (0.34 * width, 0.5 * height)).astype(np.int32)
     cv2.fillPoly(out, [place], (60, 60, 70), cv2.LINE_AA)
     return out
 
