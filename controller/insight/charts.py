@@ -112,13 +112,14 @@ def error_map(
         title: Above.
     """
     cell, scale, pad = 20.0, 1.6, 50.0
+    above = 30.0  # for the captions: a square may reach beyond the outline
     xs, ys = [p[0] for p in outline], [p[1] for p in outline]
     low_x, high_x, low_y, high_y = min(xs), max(xs), min(ys), max(ys)
     # The picture is as the camera has it: y of the table to the left, x up.
-    width, height = (high_y - low_y) * scale + 2 * pad, (high_x - low_x) * scale + 2 * pad
+    width, height = (high_y - low_y) * scale + 2 * pad, (high_x - low_x) * scale + 2 * pad + above
 
     def at(x: float, y: float) -> tuple[float, float]:
-        return pad + (high_y - y) * scale, pad + (high_x - x) * scale
+        return pad + (high_y - y) * scale, pad + above + (high_x - x) * scale
 
     squares: dict[tuple[int, int], list[tuple[float, float]]] = {}
     for x, y, dx, dy in points:
