@@ -157,7 +157,8 @@ class Soak(Observer):
     def entered(self, state: State, at: float) -> None:
         """Look at the clock; lay the table anew when there is nothing more to do on it."""
         self._latched = state is State.FAULT
-        if state is State.IDLE:
+        # What cannot be put on record yet is not on the accounts either: the cell holds, and comes here again.
+        if state is State.IDLE and not self._record_is_stuck:
             self._supply()
         if at - self._window_at >= WINDOW:
             self._look_at_process(at)
@@ -167,6 +168,12 @@ class Soak(Observer):
             self._seconds = 0.0
         if at - self._began >= self._seconds and not self.over.is_set():
             self.over.set()
+
+    @property
+    def _record_is_stuck(self) -> bool:
+        assert self.devices is not None
+        assert self.devices.script is not None
+        return self.devices.script.ledger_unwritable
 
     # --- the table ------------------------------------------------------------------------------------
 
