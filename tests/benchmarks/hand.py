@@ -53,7 +53,7 @@ class Reach:
         stood: s until the grasp point stood.
         moved: mm that it moved meanwhile.
         apart: mm between it and the fingertips then.
-        held: The cell held for the hand then, else the way had come to its end before.
+        held: The cell held for the hand within the time its way allows, else that had come to its end before.
     """
 
     state: State
@@ -126,7 +126,7 @@ class Watch(Observer):
         still = here + int(np.argmax(speeds[here:] <= STANDS))
         tip = [place for time, place in self.tips if time <= times[still]][-1]
         apart = float(np.linalg.norm(points[still, :2] - tip))
-        held = any(at <= hold <= times[still] + max(WITHIN.values()) for hold in self.holds)
+        held = any(at <= hold <= times[still] + WITHIN[state] for hold in self.holds)
         moved = float(np.linalg.norm(points[still] - points[here]))
         return Reach(state, float(times[still] - at), moved, apart, held)
 
